@@ -341,7 +341,7 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
     [
         ("absent", "expected package.module:function, installed or in this folder"),
         ("number", "expected a torch.nn.Module, got int"),
-        ("features", "returns a tensor .1, 10, 30, 30. for 1 images; expected logits .1, 10."),
+        ("features", "returns a tensor .1, 10, 30, 30. for 1 image of 10 classes; expected logits .1, 10."),
         ("detached", "has no gradient with respect to its images"),
     ],
 )

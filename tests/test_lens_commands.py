@@ -150,7 +150,12 @@ def test_analyse_has_the_seidel_sums_by_surface(capsys):
     for name, total in analysis["seidel_um"].items():
         assert sum(analysis["seidel_by_surface_um"][name]) == pytest.approx(total, rel=1e-9, abs=1e-9)
     text = output_of(capsys, "analyse", PHONE, *FEW)
-    assert text.startswith(f"# {PHONE}") and f"{analysis['efl_mm']:.4f}" in text and "core [um]" in text
+    assert (
+        text.startswith(f"# {PHONE}")
+        and f"{analysis['efl_mm']:.4f}" in text
+        and "EE50 [um]" in text
+        and max(map(len, text.splitlines())) <= 120
+    )
 
 
 # ---- files

@@ -79,6 +79,30 @@ def test_a_real_image_height_is_solved_without_clear_apertures(tmp_path):
         save(tmp_path, fields=("real_image_height_mm", ((0.0, 90.0),)))
 
 
+def test_where_light_is_lost_is_a_remark(tmp_path):
+    """Rays that miss a surface, and marginal rays that a rear element clips."""
+    save(tmp_path)
+    wide = lens_files.read(tmp_path / "lens.zmx", field_of_view_deg=90.0)
+    assert any(
+        "no light arrives at" in text and "lost by total reflection at surface 3" in text for text in wide.remarks
+    )
+    semi = cooke_triplet().semi_diameter.clone()
+    semi[6] = 4.0
+    clipped = save(tmp_path, lens=cooke_triplet(semi_diameter=semi))
+    assert (
+        "marginal rays on the axis are lost at the clear aperture of surface 6 (the first is 0)" in clipped.remarks[-1]
+    )
+
+
+def test_what_no_lens_can_have_is_refused(tmp_path):
+    with pytest.raises(FileError, match="a field of 95 degrees: expected less than 90"):
+        save(tmp_path, fields=("angle_deg", ((0.0, 95.0),)))
+    semi = cooke_triplet().semi_diameter.clone()
+    semi[cooke_triplet().stop] = 60.0
+    with pytest.raises(FileError, match=r"F/0.3\d: no lens in air is faster than F/0.5"):
+        save(tmp_path, lens=cooke_triplet(semi_diameter=semi))
+
+
 def test_a_lens_whose_only_field_is_the_axis(tmp_path):
     """Stock lenses have such files: they are used on the axis, which is a remark."""
     file = save(tmp_path, fields=("angle_deg", ((0.0, 0.0),)))

@@ -15,6 +15,7 @@ from tasklens.design.supervisors import UsersTask
 from tasklens.notebook.verdict import verdict
 from tasklens.recognition import classifiers
 from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.sharp import check_accuracy
 from tasklens.recognition.training import fit
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_tensors
@@ -124,7 +125,18 @@ def test_labels_may_be_tensors(images):
 @pytest.mark.parametrize(
     "network, loss, words",
     [
-        (nn.Conv2d(3, 3, 3), None, r"returns a tensor \(2, 3, 30, 30\) for 2 images; expected logits \(2, 3\)"),
+        (
+            nn.Sequential(nn.Flatten(), nn.Linear(7, 3)),
+            None,
+            r"network: fails for images \(2, 3, 32, 32\): .*mat1 and mat2",
+        ),
+        (nn.Flatten().forward, None, "network: expected a torch.nn.Module, got method"),
+        (nn.Flatten(), lambda answer, labels: answer, r"loss: expected one number or one for each image, got a tensor"),
+        (
+            nn.Conv2d(3, 3, 3),
+            None,
+            r"a tensor \(2, 3, 30, 30\) for 2 images of 3 classes; expected logits \(2, 3\)",
+        ),
         (
             nn.Flatten(),
             lambda answer, labels: answer.detach().sum(),
@@ -150,6 +162,12 @@ def test_wrong_pairs_are_refused(network):
     ):
         with pytest.raises(InputError, match=words):
             tasklens.design_lens("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)
+
+
+def test_few_images_cannot_tell_a_network_from_guessing(images):
+    two = images.take(torch.arange(2))
+    with pytest.raises(InputError, match=r"of 2 sharp images \(guessing: 33.3%\): too few images to tell"):
+        check_accuracy(small_network(0), two)
 
 
 def test_a_window_that_is_no_number_is_refused():

@@ -9,11 +9,13 @@ import timm
 import torch
 import yaml
 from examples import changed, tiny_study, write
+from PIL import Image
 from safetensors.torch import save_file
 from typer.testing import CliRunner
 
 from tasklens.cli.app import app, main
 from tasklens.pipeline import new_study
+from tasklens.pipeline.digest import SNAKEFILE
 from tasklens.study.loading import dump, load, parse
 
 ROOT = Path(__file__).parents[1]
@@ -69,7 +71,7 @@ def test_a_new_study_follows_its_options(place, capsys):
     assert (config.spec.f_number, config.spec.field_of_view_deg, config.seeds) == (2.2, 50.0, (0, 1))
     out = capsys.readouterr().out
     assert out.startswith("wide.yaml: all four tables, about ")
-    assert "snakemake -j2 tables --configfile wide.yaml" in out
+    assert f"snakemake -j2 tables -s {SNAKEFILE} --configfile wide.yaml" in out  # it is not in this folder
     text = (place / "wide.yaml").read_text()
     assert out.splitlines()[0].partition("about ")[2] in text and text.count("\n# ") > 8
 
@@ -138,6 +140,18 @@ def test_a_check_of_networks_reads_their_weights(place, capsys):
     save_file(timm.create_model("test_resnet", num_classes=7).state_dict(), "mine.safetensors")
     assert study("check", "mine.yaml") == 0 and study("check", "mine.yaml", "--networks") == 2
     assert "no weights for test_resnet with 10 outputs" in capsys.readouterr().err
+
+
+def test_a_new_study_of_a_folder_without_splits(place):
+    """A fifth of the photographs tests, a fifth of the others selects; check accepts the study."""
+    for name in ("cat", "dog"):
+        (place / "pets" / name).mkdir(parents=True)
+        for k in range(25):
+            Image.new("RGB", (8, 8), (5 * k, 0, 0)).save(place / "pets" / name / f"{k}.png")
+    assert study("new", "pets", "--images", "pets", "--networks", "resnet", "--minutes", "600", "--yes") == 0
+    images = load("pets.yaml").images
+    assert (images.test, images.minival, images.train) == (10, 8, None)
+    assert study("check", "pets.yaml", "--no-weights") == 0
 
 
 def test_the_least_study_of_photographs_has_fewer_of_them(place):

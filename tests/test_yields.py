@@ -56,7 +56,7 @@ def test_yields_by_hand():
     data = summary(simulated, "mine", 10.0)
     assert data["yield_by_rms"] == pytest.approx({1.1: 10, 1.25: 15, 1.5: 30, 2.0: 55})
     assert data["yield_by_mtf"] == pytest.approx({0.95: 10, 0.9: 15, 0.8: 25, 0.6: 45})
-    assert data["worst_of_95_percent"] == pytest.approx(
+    assert data["yield_95_percent"] == pytest.approx(
         {"rms_um": 2 * 2.805, "worst_rms_um": 3 + 18.05, "mtf": 0.6 * 0.0975}
     )
     assert [row["error"] for row in data["errors"]] == [error_list[k].name for k in (1, 2, 0)]

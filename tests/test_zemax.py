@@ -215,6 +215,17 @@ def test_a_glass_that_no_catalogue_has_is_that_of_its_line(tmp_path):
     assert read_lens(tmp_path).remarks == ()
 
 
+def test_data_of_the_file_that_are_ignored_are_remarks(tmp_path):
+    """Vignetting factors and unequal weights of wavelengths change figures in Zemax; neutral ones are no remark."""
+    neutral = edit(("XFLN 0 1.5", "XFLN 0 1.5\nVCYN 0 0\nVDYN 0 0"), ("WAVM 4 0.55 1", "WAVM 4 0.55 7"))
+    assert read_lens(tmp_path, neutral).remarks == ()
+    changes = ("XFLN 0 1.5", "XFLN 0 1.5\nVCYN 0 0.2"), ("WAVM 2 0.5893 1", "WAVM 2 0.5893 0.3")
+    factors, weights = read_lens(tmp_path, edit(*changes)).remarks
+    assert factors.startswith("vignetting factors are ignored") and weights.startswith("weights of wavelengths")
+    (stop,) = read_lens(tmp_path, edit(('DIAM 0.55 0 0 0 1 ""', "CLAP 0 0.3 0"))).remarks
+    assert stop.startswith("ENPD 1.2 needs a stop of radius 0.5")
+
+
 CONFIGURATIONS = """THIC 2 1 0.3 0 0 0 1 1 1 0 0
 THIC 2 2 0.45 0 0 0 1 1 1 0 0
 CRVT 4 1 0.1 0

@@ -26,8 +26,8 @@ from tasklens.runtime.errors import InputError
 
 _SPEC = "Specification; with --start, the file has the defaults"
 _METHOD = (
-    "Design method: least_squares, spot, image_quality, image_error, correlation; with a network: task, joint, "
-    "end_to_end."
+    "Design method: least_squares, spot (the default with --start), image_quality, image_error, correlation; with a "
+    "network: task, joint, end_to_end. [default: least_squares]"
 )
 _ELEMENTS = "COC,OKP4"
 _START = "Start from a lens file"
@@ -41,7 +41,7 @@ def design(
     elements: Annotated[
         str | None, typer.Option(help="Materials from front to back: COC,OKP4, or with choices: COC|PMMA,OKP4|PC.")
     ] = None,
-    method: Annotated[str, typer.Option(help=_METHOD)] = "least_squares",
+    method: Annotated[str | None, typer.Option(help=_METHOD, show_default=False)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
     settings: Annotated[
         list[str] | None,
@@ -134,6 +134,7 @@ def design(
     method_settings, constraint_settings = nested(settings or (), "--set"), nested(limits or (), "--limit")
     from tasklens import notebook
     from tasklens.design import single
+    from tasklens.optics.io import lens_files
     from tasklens.report import glance
 
     test_images, page = None, output.with_suffix(".html")
@@ -154,15 +155,18 @@ def design(
             size=size,
             classifier=network,
             baselines=() if test_images is None else single.BASELINES,
+            remark=lambda text: say(f"{start}: {text}"),
             **specified,
         )
-    for remark in result.remarks:
-        say(f"{start}: {remark}")
     lens, view, notes = result.lens, result.view, result.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
     if dark:
-        raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: try another --seed")
-    notebook.save_lens(output, lens, view, notes)
+        hint = "take fewer steps, or smaller ones" if start is not None else "try another --seed"
+        raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: {hint}")
+    if result.prescription is None:
+        notebook.save_lens(output, lens, view, notes)
+    else:
+        lens_files.write(output, result.prescription, notes)
     say_catalogue(output, lens.media)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:

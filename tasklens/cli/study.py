@@ -13,6 +13,7 @@ from tasklens.cli.network_options import nested
 from tasklens.cli.outputs import AsJson, Force, new_file
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
+from tasklens.pipeline.digest import SNAKEFILE
 from tasklens.pipeline.forecast import Durations, duration, durations_of
 from tasklens.report.differences import common, differences
 from tasklens.runtime.errors import InputError
@@ -59,9 +60,10 @@ def new(
     new_file(path, force, ".yaml", ".yml")
 
     def asked(value: Any, question: str, default: Any) -> Any:
-        return value if value is not None else default if yes else typer.prompt(question, default=default)
+        return value if value is not None else default if yes else _prompt(question, default)
 
-    place = asked(images, "Images: a folder with train/<class>/* and test/<class>/*, or built-in", "built-in")
+    question = "Images: a folder with <class>/*, or train/<class>/* and test/<class>/*, or built-in"
+    place = asked(images, question, "built-in")
     folder = None if place == "built-in" else Path(place)
     request = new_study.StudyRequest(
         name=name,
@@ -98,7 +100,15 @@ def new(
         raise new_study.too_long(minutes, seconds, cores)
     write_text(path, new_study.text(request, cut, seconds, cores, path))
     print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
-    print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables --configfile {path}")
+    snakefile = "" if Path("Snakefile").is_file() else f" -s {SNAKEFILE}"
+    print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables{snakefile} --configfile {path}")
+
+
+def _prompt(question: str, default: Any) -> Any:
+    try:
+        return typer.prompt(question, default=default)
+    except typer.Abort:
+        raise InputError("no answer; --yes takes the defaults") from None
 
 
 def _words(option: str, text: str) -> tuple[str, ...]:

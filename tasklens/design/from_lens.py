@@ -2,7 +2,7 @@
 
 import math
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from tasklens.design.supervisors import OF_STUDY, Designs, Supervisors, supervis
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.spots import chief_rays
+from tasklens.optics.analysis.spots import chief_rays, has_light
 from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
@@ -60,6 +60,7 @@ def design(
     seed: int,
     user: Supervisors = OF_STUDY,
     baselines: Sequence[str] = (),
+    remark: Callable[[str], None] = print,
 ) -> Designs:
     """Improve a lens by a method.
 
@@ -73,25 +74,31 @@ def design(
         seed: seed of all random numbers.
         user: images, network and task of a user.
         baselines: criteria for comparison; each improves the lens with the same effort.
+        remark: is called before the design with each assumption about the lens, in words.
 
     Returns:
         All lenses, from the start to the result of the method.
 
     Raises:
-        InputError: the object is at a finite distance, there are not three wavelengths, the lens lacks a variable, or
-            `design_lens` raises it.
+        InputError: the object is at a finite distance, there are not three wavelengths, no light arrives at a field,
+            surfaces cross, the lens lacks a variable, or `design_lens` raises it.
     """
     if method == "least_squares":
-        raise InputError(
-            "method: least_squares begins with random lenses; choose spot, image_quality or task for a lens of yours"
-        )
+        raise InputError("method: least_squares begins with random lenses; for a lens of yours choose another method")
     try:
         given = Constraints.model_validate(constraints)
     except ValidationError as error:
         raise InputError(in_words("constraints", error, Constraints)) from None
     if unused := {"stop_distance", "flat_track"} & set(constraints):
         raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
+    for text in file.remarks:
+        remark(text)
     spec, view = _spec(file)
+    if not (light := has_light(file.lens, view)).all():
+        raise InputError(
+            f"no light arrives at {int((~light).sum())} of {len(light)} fields; correct the lens, or give a smaller "
+            "--field-of-view"
+        )
     free = free_surfaces(file.lens, free)
     if method == "spot":  # its default descent begins with flat plates
         settings = merged_settings(_SPOT, settings)
@@ -110,7 +117,9 @@ def design(
         baselines=baselines,
         network_given=user.network is not None,
     )
-    limits, remarks = own_limits(file.lens, view, given, set(constraints))
+    limits, relaxed = own_limits(file.lens, view, given, set(constraints))
+    if relaxed:
+        remark(relaxed)
     plastics = tuple(dict.fromkeys(file.lens.media))
     lenses, notes = {"start": file.lens}, dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
@@ -127,7 +136,7 @@ def design(
                 {},
                 task=supervision.task if entry.classified else None,
             )
-    return Designs(lenses, view, notes, supervision, (*file.remarks, *remarks))
+    return Designs(lenses, view, notes, supervision)
 
 
 def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:
@@ -165,7 +174,7 @@ def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -
     return variables
 
 
-def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str]) -> tuple[Constraints, list[str]]:
+def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str]) -> tuple[Constraints, str]:
     """Return limits that suit a lens: scaled to its size, and relaxed to its own values if it violates them.
 
     Lengths are those of a phone lens. For a larger lens they are multiplied by the ratio of the focal lengths.
@@ -174,7 +183,10 @@ def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str
         fixed_names: limits that do not change.
 
     Returns:
-        The limits, and a remark on the relaxed ones.
+        The limits, and a remark on those that the lens violates; empty if there are none.
+
+    Raises:
+        InputError: surfaces of the lens cross within the light.
     """
     scale = max(1.0, view.efl / Spec().efl_mm)
     lengths = {name: scale * getattr(limits, name) for name in _LENGTHS if name not in fixed_names}
@@ -190,10 +202,16 @@ def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str
         deficit = BUFFER * buffer_scale(name) - float(margin.min()) if margin.numel() else 0.0
         if deficit > 0 and name not in fixed_names and name in Constraints.model_fields:
             own_values[name] = getattr(limits, name) + (-deficit if name.startswith("min_") else deficit)
+            if name.startswith("min_") and own_values[name] < 0:
+                raise InputError(
+                    f"{name}: {own_values[name]:.3g} mm within the light, so surfaces cross; give a larger "
+                    "--f-number or a smaller --field-of-view"
+                )
             if margin.min() < 0:  # otherwise only the buffer of designs is missing
-                violated.append(f"{name} {own_values[name]:.4g}")
-    remark = f"the lens violates default limits, which are relaxed to its own values: {', '.join(violated)} (--limit)"
-    return limits.model_copy(update=own_values), [remark] if violated else []
+                unit = "mm" if name in _LENGTHS else ""
+                violated.append(f"{name} {getattr(limits, name):.4g} to {own_values[name]:.4g} {unit}".strip())
+    remark = f"limits that the lens violates are relaxed: {', '.join(violated)} (--limit)"
+    return limits.model_copy(update=own_values), remark if violated else ""
 
 
 def _spec(file: LensFile) -> tuple[Spec, View]:

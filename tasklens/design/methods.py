@@ -107,7 +107,8 @@ def design(
         start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
     openings = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
     lens, details, history, supervisor = descents.design(start, openings, criterion, problem, settings, checkpoint)
-    final_lens, notes = with_notes(*repair(lens, view, plan.constraints, free), plan, origin | details)
+    repaired = repair(lens, view, plan.constraints, free)
+    final_lens, notes = with_notes(*repaired, plan, origin | details, settings.keep_apertures)
     if plan.entry.supervised:
         notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
     return final_lens, notes, history
@@ -118,13 +119,19 @@ def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:
     return with_coefficients(lens if keep_apertures else with_open_apertures(lens))
 
 
-def with_notes(lens: Lens, radii: Tensor, plan: LensDesign, origin: Notes) -> tuple[Lens, Notes]:
-    """Add clear apertures of `radii` (S,) [mm] to surfaces without one; return the lens and the notes for its file."""
+def with_notes(
+    lens: Lens, radii: Tensor, plan: LensDesign, origin: Notes, keep_apertures: bool = False
+) -> tuple[Lens, Notes]:
+    """Return the lens and the notes for its file; unless apertures are kept, with clear apertures where it has none.
+
+    Args:
+        radii: (S,) radii that the light uses [mm]; they become the clear apertures.
+    """
     view = view_of_spec(plan.spec)
     margins = manufacturing_margins(lens, plan.constraints, torch.minimum(radii, lens.semi_diameter))
     margins |= first_order_margins(lens, plan.constraints, view, chief_rays(lens, view))
     name, value = worst_margin(margins)
-    lens = with_clear_apertures(lens, radii)
+    lens = lens if keep_apertures else with_clear_apertures(lens, radii)
     notes = {
         "spec": plan.spec.model_dump(mode="json"),
         "origin": origin,

@@ -1,8 +1,11 @@
 """Design of one lens without a study."""
 
+import inspect
+import math
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +14,9 @@ from torch import nn
 from tasklens.design import from_lens, methods, substitution
 from tasklens.design.supervisors import Designs, Loss, Supervisors, UsersTask, supervisors
 from tasklens.materials.library import users_files
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import lens_files
+from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.recognition import class_folders, users_images
@@ -19,6 +24,8 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.study import single
+from tasklens.study.messages import suggestion
+from tasklens.study.settings import Spec
 from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # largest number of photographs from a folder
@@ -28,7 +35,7 @@ BASELINES = ("log_image_error", "correlation")  # criteria of image quality that
 
 
 def design_lens(
-    method: str = "least_squares", elements: Sequence[str] = ("COC", "OKP4"), **settings: Any
+    method: str | None = None, elements: Sequence[str] = ("COC", "OKP4"), **settings: Any
 ) -> tuple[Lens, View, dict[str, Any]]:
     """Design one lens, and before it the lenses that its method starts from.
 
@@ -38,7 +45,8 @@ def design_lens(
     A doublet by least squares takes a minute.
 
     Args:
-        method: least_squares, spot, image_quality, image_error, correlation; with a network task, joint, end_to_end.
+        method: least_squares, spot, image_quality, image_error, correlation; with a network task, joint, end_to_end;
+            None: least_squares, with `start` spot.
         elements: materials from front to back, by name, built-in or from `materials`. "COC|PMMA" lets the design
             choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
 
@@ -67,14 +75,20 @@ def design_lens(
     Raises:
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
-    result = designs(method, elements, **settings)
-    for remark in result.remarks:
-        warnings.warn(f"{settings['start']}: {remark}", stacklevel=3)
+    own = {*inspect.signature(designs).parameters} - {"method", "elements", "baselines", "remark", "spec"}
+    keywords = dict.fromkeys([*own, *Spec.model_fields, "configuration", "object_distance_mm"])
+    if unknown := [key for key in settings if key not in keywords]:
+        raise InputError(f"{unknown[0]}: unknown keyword{suggestion(unknown[0], keywords)}")
+
+    def warn(remark: str) -> None:
+        warnings.warn(f"{settings['start']}: {remark}", stacklevel=5)
+
+    result = designs(method, elements, remark=warn, **settings)
     return result.lens, result.view, result.notes
 
 
 def designs(
-    method: str = "least_squares",
+    method: str | None = None,
     elements: Sequence[str] = ("COC", "OKP4"),
     *,
     seed: int = 0,
@@ -89,6 +103,7 @@ def designs(
     start: str | Path | None = None,
     free: Mapping[str, Sequence[int] | None] | None = None,
     baselines: Sequence[str] = (),
+    remark: Callable[[str], None] = print,
     **spec: Any,
 ) -> Designs:
     """Design one lens, its starting lenses, and the baselines that it is compared with.
@@ -96,7 +111,9 @@ def designs(
     Args:
         baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort;
             some photographs are held out for the comparison (see `unused_images`).
+        remark: is called before the design with each assumption about the lens of `start`, in words.
     """
+    method = method or ("least_squares" if start is None else "spot")
     section, dataset = _images(images, size, held_out=bool(baselines))
     user = Supervisors(dataset, network, None if loss is None else UsersTask(loss))
     files = [str(path) for path in materials]
@@ -104,11 +121,10 @@ def designs(
         if not isinstance(start, str | Path):
             raise InputError("start: expected the path of a lens file; `tasklens.save_lens` writes one")
         file = lens_files.read(Path(start), [*map(Path, materials), *users_files()], **spec)
-        result = from_lens.design(
-            file, method, free, settings or {}, constraints or {}, section, classifier, seed, user, baselines
-        )
+        options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
+        result = from_lens.design(file, method, free, *options)
         result.notes["origin"]["start"] = str(Path(start))
-        return result
+        return replace(result, prescription=_prescription(file.prescription, result.lens, result.view, set(spec)))
     if free is not None:
         raise InputError("free: only with `start`, the file of a lens")
     spots: dict[str, float] = {}
@@ -156,6 +172,21 @@ def designs(
     if spots:
         notes["origin"]["materials_tried_rms_um"] = spots
     return Designs({study.lens(name).design_name: lens for name, lens in lenses.items()}, view, notes, supervision)
+
+
+def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
+    """Return the data of a file with a lens designed from its own, without those that keywords `changed` replace."""
+    if changed & {"field_of_view_deg", "object_distance_mm"}:
+        source = replace(source, fields=None)
+    if "wavelengths_um" in changed:
+        source = replace(source, wavelengths_um=None, primary=None)
+    data = with_system_data(replace(source, lens=lens, object_distance_mm=math.inf), view)
+    if data.aperture is None or data.wavelengths_um is None:
+        return data
+    first_order = paraxial(lens, data.wavelengths_um[data.primary or 0])
+    diameter = 2 * float(first_order.entrance_pupil_radius)
+    kind = data.aperture[0]
+    return replace(data, aperture=(kind, float(first_order.efl) / diameter if kind == "f_number" else diameter))
 
 
 def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:

@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.recognition import class_folders
@@ -44,14 +45,14 @@ class Designs:
     Attributes:
         notes: notes for its file.
         supervisors: images and network of the design.
-        remarks: assumptions about a lens of the user, as sentences.
+        prescription: the lens with the other data of the file from which the design started; None without a file.
     """
 
     lenses: Mapping[str, Lens]
     view: View
     notes: dict[str, Any]
     supervisors: Supervisors
-    remarks: tuple[str, ...] = ()
+    prescription: Prescription | None = None
 
     @property
     def lens(self) -> Lens:
@@ -74,7 +75,9 @@ class UsersTask(Task):
         losses = self.function(network(captures), labels)
         if not isinstance(losses, Tensor):
             raise InputError(f"loss: expected a tensor, one number or one for each image, got {losses!r}")
-        return losses.reshape(len(losses), -1).mean(-1) if losses.dim() else losses.expand(len(captures))
+        if losses.dim() and losses.shape != (len(captures),):
+            raise InputError(f"loss: expected one number or one for each image, got a tensor {tuple(losses.shape)}")
+        return losses if losses.dim() else losses.expand(len(captures))
 
 
 def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Supervisors:
@@ -94,6 +97,8 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     if not any(entry.supervised for entry in entries):
         return Supervisors()
     device, network = claim(), user.network
+    if not isinstance(network, nn.Module | None):
+        raise InputError(f"network: expected a torch.nn.Module, got {type(network).__name__}")
     if classified and network is None:  # checked before photographs are read
         settings, classes = study.classifier(study.supervisor), _classes(study, user)
         classifiers.check(study.supervisor, settings, study.images.size, len(classes))
@@ -153,8 +158,12 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
         raise InputError(
             "images: labels are not numbers of classes; give a `loss` of the network's output and the labels"
         )
+    try:
+        answer = frozen_network(images)
+    except Exception as error:  # of any layer
+        raise InputError(f"network: fails for images {tuple(images.shape)}: {error}") from error
     if task is None:
-        check_logits(frozen_network(images), len(images), len(dataset.classes))
+        check_logits(answer, len(images), len(dataset.classes))
         return
     loss = task.loss(frozen_network, images, labels, torch.zeros(len(images), dtype=torch.bool))
     if not (loss.numel() == 1 and loss.is_floating_point() and bool(loss.isfinite())):

@@ -111,8 +111,8 @@ class Library:
             )
 
     def _unknown(self, name: str) -> str:
-        names = {glass for glasses, _ in self._sources() for glass in glasses}
-        matches = difflib.get_close_matches(name, names, n=3, cutoff=0.6)
+        names = {glass.upper(): glass for glasses, _ in self._sources() for glass in glasses}
+        matches = [names[match] for match in difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.6)]
         offer = f"; nearest names: {', '.join(matches)}" if matches else ""
         files = "".join(f"{path.name}, " for path in self.files)
         return (

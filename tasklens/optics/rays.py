@@ -52,6 +52,16 @@ class Rays:
         return self.status == RayStatus.VIGNETTED
 
 
+def loss(rays: Rays, lost: Tensor) -> str:
+    """Describe the surface and status of the first of the rays `lost`, to follow the word "lost" in a message."""
+    surface = f"surface {int(rays.lost_at[lost][0])} (the first is 0)"
+    return {
+        RayStatus.MISSED: f"where it misses {surface}",
+        RayStatus.VIGNETTED: f"at the clear aperture of {surface}",
+        RayStatus.TOTAL_INTERNAL_REFLECTION: f"by total reflection at {surface}",
+    }[RayStatus(int(rays.status[lost][0]))]
+
+
 def passing(rays: Rays) -> Tensor:
     """Count the rays (F, W, N) that are not vignetted by field, (F,); at least one. Energies are fractions of them."""
     return (~rays.vignetted).sum((1, 2)).clamp(min=1)

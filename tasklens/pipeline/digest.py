@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
+SNAKEFILE = ROOT / "Snakefile"
 NOT_INSTALLED = "the workflow is not installed: clone the repository, and install it by `pip install -e .`"
 PACKAGES = ("tasklens", "restoration")
 SETTINGS = "tasklens.study"

@@ -40,6 +40,23 @@ def default_study() -> dict[str, Any]:
     return yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
 
 
+def _counts(folder: Path, minival: int, fraction: float) -> dict[str, int]:
+    """Return the numbers of photographs of a study: up to a fifth of them select; without splits, a fifth test."""
+    if split := class_folders.is_split(folder):
+        folders = (class_folders.split_folder(folder, names) for names in (class_folders.TRAIN, class_folders.TEST))
+        train, test = (class_folders.count(place, COMPARABLE) for place in folders)
+    else:
+        total = class_folders.count(folder, COMPARABLE)
+        test = total // 5
+        train = total - test
+    counts = {"minival": max(2, min(minival, train // 5))}
+    if fraction < 1:
+        counts["train"] = max(1, round((train - counts["minival"]) * fraction))
+    if fraction < 1 or not split:
+        counts["test"] = max(1, round(test * fraction))
+    return counts
+
+
 def elements() -> dict[str, list[str]]:
     """Return the plastics of each named set of elements: a singlet, and the sets of the default study."""
     return {"singlet": ["COC"]} | default_study()["elements"]
@@ -100,13 +117,7 @@ def content(request: StudyRequest, cut: Cut) -> dict[str, Any]:
     if request.folder is None:
         images |= {key: max(500, round(base["images"][key] * cut.fraction)) for key in ("train", "test")}
     else:
-        images["folder"] = str(request.folder)
-        split = class_folders.split_folder(request.folder, class_folders.TRAIN)
-        images["minival"] = max(2, class_folders.count(split, 5 * images["minival"]) // 5)  # a fifth of a small folder
-        if cut.fraction < 1:
-            train = class_folders.count(split, COMPARABLE) - images["minival"]
-            test = class_folders.count(class_folders.split_folder(request.folder, class_folders.TEST), COMPARABLE)
-            images |= {"train": max(1, round(train * cut.fraction)), "test": max(1, round(test * cut.fraction))}
+        images |= {"folder": str(request.folder), **_counts(request.folder, images["minival"], cut.fraction)}
     keys = {
         "format": base["format"],
         "name": request.name,

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from tasklens.pipeline.changes import PlannedJob
-from tasklens.pipeline.digest import ROOT
+from tasklens.pipeline.digest import SNAKEFILE
 from tasklens.pipeline.forecast import Durations
 from tasklens.runtime.errors import InputError
 from tasklens.study.parts import whole_study_name
@@ -49,7 +49,7 @@ def plan(files: Sequence[Path], target: str) -> dict[str, dict[str, Planned]]:
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "jobs.json")
-        options = ["--snakefile", str(ROOT / "Snakefile"), "--cores", "1", "--dry-run", target]
+        options = ["--snakefile", str(SNAKEFILE), "--cores", "1", "--dry-run", target]
         command = [sys.executable, "-m", "snakemake", *options, "--configfile", *map(str, files)]
         process = subprocess.run([*command, "--config", f"plan={path}"], capture_output=True, text=True)
         if process.returncode:

@@ -18,7 +18,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.io import imported, lens_files
 from tasklens.optics.view import view_of_spec
-from tasklens.pipeline.digest import NOT_INSTALLED, ROOT
+from tasklens.pipeline.digest import NOT_INSTALLED, SNAKEFILE
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_table, write_text
@@ -212,13 +212,14 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> 
         raise FileError(f"--images {folder}: no such folder")
     images = {"folder": str(folder), "size": size, "minival": _MINIVAL}
     if class_folders.is_split(folder):
-        test = class_folders.count(class_folders.split_folder(folder, class_folders.TEST), photographs)
+        test, least = class_folders.count(class_folders.split_folder(folder, class_folders.TEST), photographs), 1
     elif trained:
-        test = class_folders.count(folder, _TESTED * photographs) // _TESTED
+        test, least = class_folders.count(folder, _TESTED * photographs) // _TESTED, _TESTED
     else:
-        test = class_folders.count(folder, photographs + _MINIVAL + _TRAIN) - _MINIVAL - _TRAIN
+        others = _MINIVAL + _TRAIN
+        test, least = class_folders.count(folder, photographs + others) - others, others + 1
     if test < 1:
-        raise FileError(f"--images {folder}: too few photographs for a ranking")
+        raise FileError(f"--images {folder}: too few photographs for a ranking; expected {least} or more")
     return images | {"test": test} | ({} if trained else {"train": _TRAIN})
 
 
@@ -247,10 +248,9 @@ def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrit
         SystemExit: Snakemake fails; it has printed the reason.
         InputError: the workflow is not installed.
     """
-    snakefile = ROOT / "Snakefile"
-    if not snakefile.is_file():
-        raise InputError(f"{snakefile}: {NOT_INSTALLED}")
-    command = [sys.executable, "-m", "snakemake", "--snakefile", str(snakefile), "--cores", str(cores), *targets]
+    if not SNAKEFILE.is_file():
+        raise InputError(f"{SNAKEFILE}: {NOT_INSTALLED}")
+    command = [sys.executable, "-m", "snakemake", "--snakefile", str(SNAKEFILE), "--cores", str(cores), *targets]
     with TemporaryDirectory() as folder:  # the run writes study.yaml, unless it is refused
         path = Path(folder, "ranking.yaml")
         write_text(path, yaml.safe_dump(dict(content), sort_keys=False))

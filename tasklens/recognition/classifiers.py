@@ -244,9 +244,10 @@ def check_logits(answer: object, images: int, classes: int) -> None:
     """
     if not isinstance(answer, Tensor) or answer.shape != (images, classes) or not answer.is_floating_point():
         kind = f"a tensor {tuple(answer.shape)}" if isinstance(answer, Tensor) else type(answer).__name__
+        count = f"{images} image{'s' * (images != 1)}"
         raise InputError(
-            f"the network returns {kind} for {images} images; expected logits ({images}, {classes}), from a classifier "
-            "(from timm, without arguments such as features_only)"
+            f"the network returns {kind} for {count} of {classes} classes; expected logits ({images}, {classes}), of a "
+            "classifier with an output for each class"
         )
     if not answer.requires_grad:
         raise InputError(

@@ -21,7 +21,7 @@ def check_accuracy(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -
         network: function from images (B, 3, H, W) in [0, 1] to logits.
 
     Raises:
-        InputError: the accuracy is no better than guessing.
+        InputError: the accuracy is no better than guessing, or there are too few images to tell.
     """
     correct, outputs = [], len(dataset.classes)
     for indices in torch.arange(len(dataset)).split(_BATCH):
@@ -31,7 +31,10 @@ def check_accuracy(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -
         correct.append(logits.argmax(-1) == labels)
     accuracy, chance, count = float(torch.cat(correct).double().mean()), 1 / outputs, len(dataset)
     text = f"the network recognises {accuracy:.1%} of {count} sharp images (guessing: {chance:.1%})"
-    if accuracy <= chance + _DEVIATIONS * math.sqrt(chance * (1 - chance) / count):
+    margin = _DEVIATIONS * math.sqrt(chance * (1 - chance) / count)
+    if chance + margin >= 1:
+        raise InputError(f"{text}: too few images to tell it from guessing; give more")
+    if accuracy <= chance + margin:
         raise InputError(
             f"{text}: no better than guessing; check its weights, its normalisation (arguments: "
             "{pretrained_cfg_overlay: {mean: [..], std: [..]}}), the order of its classes, and `outputs`"

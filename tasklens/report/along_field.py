@@ -6,9 +6,8 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.aberrations import field_curvature
-from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_rays, distortion, trace_fields
+from tasklens.optics.analysis.spots import chief_rays, chief_scale, distortion, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
@@ -46,7 +45,7 @@ def along_field(lens: Lens, view: View) -> AlongField:
     arrives = chief.valid[:, 0, 0]
     points = torch.cat([chief.x[:, 0], chief.y[:, 0]], -1)
     tangential, sagittal = field_curvature(lens, view)
-    percent = 100 * distortion(view.fields * image_scale(lens, view), points)
+    percent = 100 * distortion(view.fields * chief_scale(lens, view), points)
     return AlongField(
         angles=torch.rad2deg(torch.atan(heights / view.efl)),
         view=view,

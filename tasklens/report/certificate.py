@@ -11,11 +11,11 @@ from tasklens.report.publish import right_aligned
 _FIELDS = (
     ("angle_deg", "angle [deg]", 1),
     ("valid_fraction", "valid", 3),
-    ("energy_in_window", "in window", 3),
-    ("rms_centroid_um", "RMS centroid [um]", 2),
-    ("rms_chief_ray_um", "RMS chief [um]", 2),
+    ("energy_in_window", "light in window", 3),
+    ("rms_centroid_um", "RMS, centroid [um]", 2),
+    ("rms_chief_ray_um", "RMS, chief ray [um]", 2),
     ("rms_wavefront_waves", "RMS wavefront [waves]", 3),
-    ("core_radius_um", "core [um]", 2),
+    ("core_radius_um", "EE50 [um]", 2),
     ("radius_80_um", "EE80 [um]", 2),
     ("mtf_tangential_quarter_nyquist", "MTF T 1/4", 3),
     ("mtf_sagittal_quarter_nyquist", "MTF S 1/4", 3),
@@ -36,14 +36,14 @@ _SEIDEL = {
     "lateral_colour": "C_II",
 }
 _NOTE = """\
-{rays} rays per field and colour; "valid" is the fraction that arrives. In window, core, EE80 and MTF use the light
-that passes the clear apertures; core and EE80 are the radii about the chief ray that encircle 50 % and 80 % of it.
-The RMS is of the rays that arrive. RMS wavefront: at the middle wavelength, about the best image point (without
+{rays} rays per field and colour; "valid" is the fraction that arrives. Light in the window, EE50, EE80 and MTF use the
+light that passes the clear apertures; EE50 and EE80 are the radii about the chief ray that encircle 50 % and 80 % of
+it. The RMS is of the rays that arrive. RMS wavefront: at the middle wavelength, about the best image point (without
 piston and tilt). The MTF is geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist
-frequency); diffraction lowers it further, to zero at {cutoff:.0f} cycles/mm. T is along the field, S across it.
-Focus: of rays next to the chief ray, along z from the image plane. Aberrations: Seidel sums of the wavefront at the
-edge of the pupil and the largest field, at the middle wavelength; C_I and C_II from the longest to the shortest
-wavelength. Distortion and relative illumination are at the middle wavelength."""
+frequency); diffraction lowers it further, to zero at {cutoff:.0f} cycles/mm. T is along the field, S across it. Focus:
+of rays next to the chief ray, along z from the image plane. Aberrations: Seidel sums of the wavefront at the edge of
+the pupil and the largest field, at the middle wavelength; C_I and C_II from the longest to the shortest wavelength.
+Distortion, relative to chief rays near the axis, and relative illumination are at the middle wavelength."""
 
 
 def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapping[str, Sequence[float]]) -> str:
@@ -56,9 +56,10 @@ def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapp
     """
     figures = content["figures"]
     lens = pandas.DataFrame(_lens(content).items(), columns=["figure", "value"])
-    fields = pandas.DataFrame({"field [mm]": [f"({x:.2f}, {y:.2f})" for x, y in fields_mm]})
-    for key, heading, digits in _FIELDS:
-        fields[heading] = [f"{value:.{digits}f}" for value in figures[key]]
+    rows = {heading: [f"{value:.{digits}f}" for value in figures[key]] for key, heading, digits in _FIELDS}
+    points = {f"{axis} [mm]": [f"{point[i]:.2f}" for point in fields_mm] for i, axis in enumerate("xy")}
+    fields = pandas.DataFrame(points | rows).T.rename(columns=lambda field: str(field + 1))
+    fields = fields.rename_axis("field").reset_index()
     columns = {_SEIDEL[key]: [*values, figures["seidel_um"][key]] for key, values in by_surface.items()}
     surfaces = pandas.DataFrame(columns).map(lambda value: f"{value:.3f}")
     surfaces.insert(0, "surface", [*map(str, range(len(surfaces) - 1)), "sum"])

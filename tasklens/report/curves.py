@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from torch import Tensor
 
-from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.mtf import geometric_mtf, perfect_mtf
 from tasklens.optics.analysis.spots import RayFans
 from tasklens.optics.analysis.tail import encircled_energy
 from tasklens.optics.rays import Rays
@@ -30,20 +30,25 @@ _SHIFTS = 31  # number of shifts of the image plane
 _DEPTH = 8  # largest shift, in pixel pitches times the F-number
 
 
-def ray_fans(part: SubFigure | Figure, fans: RayFans, view: View, field_names: Mapping[int, str]) -> None:
-    """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian."""
-    half = view.kernel_size * view.pixel_pitch / 2
+def ray_fans(
+    part: SubFigure | Figure, fans: RayFans, view: View, field_names: Mapping[int, str], half_um: float
+) -> None:
+    """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian.
+
+    Args:
+        half_um: largest error that is drawn.
+    """
     all_axes = part.subplots(1, 2 * len(field_names), sharey=True, squeeze=False)[0]
     for k, (field, name) in enumerate(field_names.items()):
         for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
             axes = all_axes[2 * k + i]
             for w, (wavelength, style) in enumerate(zip(view.wavelengths, BY_WAVELENGTH, strict=False)):
                 axes.plot(fans.pupil, 1e3 * errors[field, w], lw=1, label=f"{1e3 * wavelength:.0f} nm", **style)
-            axes.set(xlim=(-1, 1), ylim=(-half, half), xticks=(-1, 0, 1))
+            axes.set(xlim=(-1, 1), ylim=(-half_um, half_um), xticks=(-1, 0, 1))
             axes.set_title(f"{name} {label}", fontsize=9)
             axes.tick_params(labelsize=8)
             axes.grid(lw=0.3)
-    all_axes[0].set_ylabel("ray error [um]", fontsize=8)
+    all_axes[0].set_ylabel("transverse ray error [um]", fontsize=8)
     part.supxlabel("pupil; T along the field, S across it", fontsize=8)
     part.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncol=3, fontsize=8, frameon=False)
 
@@ -57,9 +62,7 @@ def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, field_names: Mappi
         marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
-    share = (frequencies / cutoff).clamp(max=1)
-    perfect = 2 / torch.pi * (torch.acos(share) - share * torch.sqrt(1 - share**2))
-    axes.plot(frequencies, perfect, color="grey", lw=1, ls=":", label="diffraction limit")
+    axes.plot(frequencies, perfect_mtf(frequencies, cutoff), color="grey", lw=1, ls=":", label="diffraction limit")
     axes.set(xlim=(0, nyquist), ylim=(0, 1.02), xlabel="cycles/mm, up to Nyquist", title="geometric MTF")
     _finish(axes)
 

@@ -20,7 +20,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, ray_fans, trace_fields
+from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, ray_fans, spot_diagram, trace_fields
 from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
@@ -33,6 +33,7 @@ from tasklens.runtime.files import replacing
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
 _RIM = 1.02  # drawn radius of a surface, as a multiple of the radius that light uses
+_SHOWN = 0.95  # fraction of the rays of a spot that is drawn at least
 _DPI = 110
 _PLACES = 6  # decimals of a position in a figure
 _NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
@@ -54,6 +55,7 @@ class Panel:
         centre: (F, 2) image points of the chief rays [mm].
         narrowest_mm: length of the shortest lens of the figure; its scale bars fit.
         narrowest_um: width of the smallest PSF window of the figure.
+        half_um: largest ray error that spots and ray fans show; None: half of the PSF window.
     """
 
     title: str
@@ -65,6 +67,12 @@ class Panel:
     centre: Tensor
     narrowest_mm: float = math.inf
     narrowest_um: float = math.inf
+    half_um: float | None = None
+
+    @property
+    def shown_um(self) -> float:
+        """Largest ray error that spots and ray fans show."""
+        return self.half_um or self.view.kernel_size * self.view.pixel_pitch / 2
 
     @property
     def field_names(self) -> dict[int, str]:
@@ -101,11 +109,26 @@ def figure_of(panels: Sequence[Panel]) -> Figure:
     """Return the figure of one lens, or of several one above the other."""
     mm = min(float(panel.lens.thickness.sum()) for panel in panels)
     um = min(panel.view.kernel_size * panel.view.pixel_pitch for panel in panels)
-    panels = [replace(panel, narrowest_mm=mm, narrowest_um=um) for panel in panels]
+    half_um = _round_up(max(_spread_um(panel) for panel in panels))
+    panels = [replace(panel, narrowest_mm=mm, narrowest_um=um, half_um=half_um) for panel in panels]
     whole = Figure(figsize=(13, 11.5 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     return whole
+
+
+def _spread_um(panel: Panel) -> float:
+    """Return the distance from the chief ray within which most rays of the drawn fields arrive [um]."""
+    fields = list(panel.field_names)
+    distance = spot_diagram(panel.rays, panel.centre)[fields].norm(dim=-1)
+    distance = distance[distance.isfinite()]
+    return 1e3 * float(distance.quantile(_SHOWN)) if len(distance) else panel.shown_um
+
+
+def _round_up(value: float) -> float:
+    """Round up to 1, 2 or 5 times a power of ten."""
+    power = 10.0 ** math.floor(math.log10(max(value, 1e-3)))
+    return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= value * (1 - 1e-9))
 
 
 def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
@@ -140,7 +163,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
     draw_spots(right, panel)
     draw_psfs(middle, panel)
     fans, charts = bottom.subfigures(1, 2, width_ratios=(1.1, 1))
-    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, panel.field_names)
+    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, panel.field_names, panel.shown_um)
     draw_curves(charts, panel)
     draw_by_field(foot, panel)
     figures = panel.figures
@@ -166,7 +189,7 @@ def draw_section(part: SubFigure | Figure, panel: Panel) -> None:
 
 def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the spot diagrams of axis, middle and corner, with the circles of core and 80 %."""
-    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.field_names, panel.narrowest_um)
+    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.field_names, panel.shown_um)
 
 
 def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:

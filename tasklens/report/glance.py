@@ -4,20 +4,22 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas
+import torch
 
 from tasklens.materials.material import AIR, short_name
+from tasklens.optics.analysis.mtf import perfect_mtf
 from tasklens.optics.lens import Lens
 from tasklens.report.headings import GAP
 from tasklens.report.manufacturability import UNITS
 
 _FIELDS = {  # key in the figures of a lens: label, number of decimals
     "angle_deg": ("field [degrees]", 1),
-    "rms_centroid_um": ("RMS spot radius [um]", 2),
+    "rms_centroid_um": ("RMS spot radius, about centroid [um]", 2),
     "core_radius_um": ("radius of 50 % of the light [um]", 2),
     "radius_80_um": ("radius of 80 % of the light [um]", 2),
-    "mtf_tangential_half_nyquist": ("MTF at half Nyquist, tangential", 2),
-    "mtf_sagittal_half_nyquist": ("MTF at half Nyquist, sagittal", 2),
-    "energy_in_window": ("light inside the PSF window", 3),
+    "mtf_tangential_half_nyquist": ("geometric MTF at half Nyquist, T", 2),
+    "mtf_sagittal_half_nyquist": ("geometric MTF at half Nyquist, S", 2),
+    "energy_in_window": ("light in the PSF window", 3),
     "distortion_percent": ("distortion [%]", 2),
     "relative_illumination": ("relative illumination", 2),
 }
@@ -41,9 +43,9 @@ _COLUMNS = {  # key of a row: its heading, format
 }
 _NOTE = """\
 Lengths in mm, field of view in degrees, spots in um, distortion in %. Worst RMS, distortion and illumination: of the
-worst field. Means over the fields: RMS, radii of 50 % (core) and 80 % of the light about the chief ray, MTF at half
-Nyquist, light in the PSF window. Margin: to the nearest limit of the design, in the limit's unit (mm, slope, fraction,
-rad); a violation is negative."""
+worst field. Means over the fields: RMS, radii of 50 % (core) and 80 % of the light about the chief ray, geometric MTF
+at half Nyquist, light in the PSF window. Margin: to the nearest limit of the design, in the limit's unit (mm, slope,
+fraction, rad); a violation is negative."""
 
 
 def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
@@ -56,10 +58,15 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
     order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
     fields = list(dict.fromkeys((order[0], order[len(order) // 2], order[-1])))
     pieces = [i for i in lens.refracting_surfaces if lens.media[i] != AIR]
+    half_nyquist = figures["nyquist_per_mm"] / 2
     data: dict[str, Any] = {
         "materials": [short_name(lens.media[i]) for i in pieces if not is_plate(lens, i)],
         "plates": [short_name(lens.media[i]) for i in pieces if is_plate(lens, i)],
         **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm", "image_distance_mm", "airy_radius_um")},
+        "half_nyquist_per_mm": half_nyquist,
+        "perfect_mtf_half_nyquist": float(
+            perfect_mtf(torch.tensor(half_nyquist), figures["diffraction_cutoff_per_mm"])
+        ),
         "fields": {key: [figures[key][field] for field in fields] for key in _FIELDS},
     }
     data |= {key: figures[key] for key in _NEAR if key in figures}
@@ -79,7 +86,9 @@ def text(name: str, data: Mapping) -> str:
     lines = [
         f"{name}: {len(materials)} element{'s' * (len(materials) != 1)}, {', '.join(materials)}{plates}",
         f"  focal length {data['efl_mm']:.3f} mm, F/{data['f_number']:.2f}, {data['track_mm']:.2f} mm from the "
-        f"first surface to the image, Airy radius {data['airy_radius_um']:.1f} um",
+        f"first surface to the image",
+        f"  diffraction: Airy radius {data['airy_radius_um']:.1f} um, MTF of a perfect lens "
+        f"{data['perfect_mtf_half_nyquist']:.2f} at half Nyquist, {data['half_nyquist_per_mm']:.0f} cycles/mm",
     ]
     if "object_distance_mm" in data:
         lines.append(
@@ -87,7 +96,7 @@ def text(name: str, data: Mapping) -> str:
             f"{data['magnification']:.4g}, working F/{data['working_f_number']:.2f}"
         )
     for key, (meaning, digits) in _FIELDS.items():
-        lines.append(f"  {meaning:<34}" + "".join(f"{value:>9.{digits}f}" for value in data["fields"][key]))
+        lines.append(f"  {meaning:<37}" + "".join(f"{value:>9.{digits}f}" for value in data["fields"][key]))
     if "worst_margin" in data:
         limit, value = data["worst_margin"]["limit"], data["worst_margin"]["value"]
         unit, limit = UNITS.get(limit, "mm"), limit.replace("_", " ")

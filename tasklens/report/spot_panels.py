@@ -30,17 +30,16 @@ def spots(
     view: View,
     figures: Mapping,
     field_names: Mapping[int, str],
-    narrowest_um: float,
+    half_um: float,
 ) -> None:
     """Draw the spots of the fields `field_names`, with circles of 50 % and 80 % of the light about the chief ray.
 
     Args:
         rays: rays of all fields on the image plane.
         centre: (F, 2) image points of the chief rays [mm].
-        narrowest_um: width of the narrowest panel; the scale bars fit into it.
+        half_um: half of the width that is drawn.
     """
     points = 1e3 * spot_diagram(rays, centre)[:, :, :_DRAWN]
-    half = view.kernel_size * view.pixel_pitch / 2
     for axes, (field, name) in zip(
         part.subplots(1, len(field_names), squeeze=False)[0], field_names.items(), strict=True
     ):
@@ -53,11 +52,11 @@ def spots(
             Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.9),
         )
         for circle in circles:
-            if circle.radius < 1e3 * half:  # an infinite circle cannot be drawn
+            if circle.radius < 1e3 * half_um:  # an infinite circle cannot be drawn
                 axes.add_patch(circle)
         axes.plot(0, 0, "+", color="black", ms=5, lw=0, label="chief ray")
-        axes.set(xlim=(-half, half), ylim=(-half, half), aspect="equal", xticks=[], yticks=[])
-        scale_bar(axes, "um", narrowest=narrowest_um)
+        axes.set(xlim=(-half_um, half_um), ylim=(-half_um, half_um), aspect="equal", xticks=[], yticks=[])
+        scale_bar(axes, "um")
         angle = figures["angle_deg"][field]
         axes.set_title(f"{name}, {angle:.2g}°: core {_um(figures['core_radius_um'][field])}", fontsize=9)
         radius = f"RMS {figures['rms_centroid_um'][field]:.1f} um"

@@ -12,6 +12,10 @@ from tasklens.optics.tolerancing.yields import KEPT_MTF, Tolerances
 _GROWTH = (1.1, 1.25, 1.5, 2.0)  # largest ratios of the mean RMS spot to the design's with which a lens passes
 _KEPT = (0.95, 0.9, 0.8, 0.6)  # smallest ratios of the mean MTF to the design's with which a lens passes
 _SHOWN = 10  # errors with the largest displacement
+_NOTE = """\
+  Surfaces are numbered from 0; an element has the number of its first surface, about whose vertex it tilts. Form 3 6:
+  spherical aberration of sixth order on surface 3, peak to valley over the clear aperture. Ray shift: RMS of the half
+  of the rays next to the chief ray, at the full tolerance, after focusing."""
 _QUALITIES = {"rms_um": "RMS spot, mean of the fields [um]", "worst_rms_um": "RMS spot, worst field [um]", "mtf": "MTF"}
 
 
@@ -34,7 +38,7 @@ def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, A
         "peak_um": tolerances.peak_um,
         "design": {name: getattr(design, name) for name in _QUALITIES},
         "median": {name: float(numpy.median(values)) for name, values in built.items()},
-        "worst_of_95_percent": {
+        "yield_95_percent": {
             name: float(numpy.quantile(values, 0.05 if name == "mtf" else 0.95)) for name, values in built.items()
         },
         "yield_by_rms": {factor: _share(built["rms_um"] <= factor * design.rms_um) for factor in _GROWTH},
@@ -57,10 +61,10 @@ def text(name: str, data: Mapping[str, Any]) -> str:
     lines = [
         f"{name}: {data['lenses']} lenses built to {data['grade'].replace('_', ' ')}, each focused like the design, "
         f"{abs(data['peak_um']):.0f} um from the peak of its MTF; MTF at {data['frequency_per_mm']:.0f} cycles/mm",
-        f"  {'':<36}{'design':>9}{'median':>9}{'worst of 95 %':>15}",
+        f"  {'':<36}{'design':>9}{'median':>9}{'95 % yield':>15}",
     ]
     for key, meaning in _QUALITIES.items():
-        values = (data["design"][key], data["median"][key], data["worst_of_95_percent"][key])
+        values = (data["design"][key], data["median"][key], data["yield_95_percent"][key])
         lines.append(f"  {meaning:<36}{values[0]:>9.2f}{values[1]:>9.2f}{values[2]:>15.2f}")
     by_rms = ", ".join(f"{share:.0f} % up to {factor:g} times" for factor, share in data["yield_by_rms"].items())
     by_mtf = ", ".join(f"{share:.0f} % keep {100 * fraction:.0f} %" for fraction, share in data["yield_by_mtf"].items())
@@ -68,7 +72,7 @@ def text(name: str, data: Mapping[str, Any]) -> str:
     frame = pandas.DataFrame(data["errors"][:_SHOWN])
     frame["tolerance"] = frame["tolerance"].map("{:.4g}".format)
     frame["moved_um"] = frame["moved_um"].map("{:.2f}".format)
-    headings = {"moved_um": "moves rays by [um]"}
+    headings = {"moved_um": "ray shift [um]"}
     if frame["allotted"].isna().all():
         frame = frame.drop(columns="allotted")
         lines.append(
@@ -82,7 +86,7 @@ def text(name: str, data: Mapping[str, Any]) -> str:
             f"{100 * KEPT_MTF:.0f} % of the MTF; the {len(frame)} that matter most (--json: all)"
         )
     table = frame.rename(columns=headings).to_string(index=False)
-    return "\n".join([*lines, *(f"  {line}" for line in table.splitlines())])
+    return "\n".join([*lines, *(f"  {line}" for line in table.splitlines()), _NOTE])
 
 
 def _share(good: numpy.ndarray) -> float:

@@ -181,7 +181,7 @@ class GradientDesignSettings(Frozen):
     )
     keep_apertures: bool = Field(
         False,
-        description="Keep the clear apertures of the start, which vignette; false: they follow from the design.",
+        description="Keep the clear apertures of the start, and none elsewhere; false: they follow from the design.",
     )
     tolerances: Grade | None = Field(
         None,

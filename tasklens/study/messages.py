@@ -66,13 +66,13 @@ def _line(item: ErrorDetails, settings: Any) -> str:
         about = f": {field.description}" if field is not None and field.description else ""
         return f"{'.'.join(keys)}: missing{about}"
     if kind == "extra_forbidden":
-        return f"{'.'.join(keys)}{_shown(value)}: unknown key{_suggestion(keys[-1], place)}"
+        return f"{'.'.join(keys)}{_shown(value)}: unknown key{suggestion(keys[-1], place)}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         key = context["discriminator"].strip("'")
         where = ".".join([*keys, key])
         if kind == "union_tag_not_found":
             return f"{where}: missing; expected one of {', '.join(sorted(place))}"
-        return f"{where} = {context['tag']!r}: unknown{_suggestion(context['tag'], place)}"
+        return f"{where} = {context['tag']!r}: unknown{suggestion(context['tag'], place)}"
     message = _expected(item)
     if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # the message names a key itself
         return message
@@ -98,7 +98,7 @@ def _shown(value: Any) -> str:
     return "" if isinstance(value, Mapping) or len(text) > _LONGEST else f" = {text}"
 
 
-def _suggestion(word: str, choices: Mapping[str, Any]) -> str:
+def suggestion(word: str, choices: Mapping[str, Any]) -> str:
     """Suggest the choice most similar to a wrong word, or the same word in a section of this place; else list all."""
     inside = {
         key: f"{name}.{key}" for name, field in choices.items() for key in _fields(getattr(field, "annotation", None))

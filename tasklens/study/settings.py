@@ -123,7 +123,9 @@ class Constraints(Frozen):
         1.3, gt=0, le=100, description="Distance from the stop to the sensor of a flat start [focal lengths]."
     )
     efl_tolerance: Fraction = Field(0.02, description="Largest deviation of the focal length, as a fraction.")
-    distortion: Fraction = Field(0.03, description="Largest distortion, as a fraction.")
+    distortion: Fraction = Field(
+        0.03, description="Largest distortion, a fraction of the image height at the specified focal length."
+    )
     max_chief_ray_angle_deg: Angle | None = Field(
         None, description="Largest chief ray angle on the sensor [degrees]; null: no limit, as in the paper."
     )

@@ -13,6 +13,7 @@ from tasklens.optics.analysis.pupil import check_stop, sobol_disc
 from tasklens.optics.analysis.spots import (
     centroid,
     chief_rays,
+    chief_scale,
     distortion,
     encircled_energy_radius,
     rms_spot_radius,
@@ -160,7 +161,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
         "mtf_sagittal_quarter_nyquist": mtf_sagittal[:, 0],
         "mtf_tangential_half_nyquist": mtf_tangential[:, 1],
         "mtf_sagittal_half_nyquist": mtf_sagittal[:, 1],
-        "distortion_percent": 100 * distortion(view.fields * image_scale(lens, view), chief),
+        "distortion_percent": 100 * distortion(view.fields * chief_scale(lens, view), chief),
         "focus_tangential_um": 1e3 * focus_tangential,
         "focus_sagittal_um": 1e3 * focus_sagittal,
         "relative_illumination": relative_illumination(lens, view),

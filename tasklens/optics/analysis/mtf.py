@@ -55,6 +55,17 @@ def mean_mtf(psf: Tensor) -> Tensor:
     return torch.fft.fft2(psf, (side, side)).abs()[..., in_band].mean()
 
 
+def perfect_mtf(frequency: Tensor, cutoff: float) -> Tensor:
+    """Compute the MTF of a perfect lens with a round pupil at a frequency [cycles/mm], of any shape.
+
+    MTF = (2 / pi) (acos(v) - v sqrt(1 - v^2)), v = frequency / cutoff, and zero beyond the cut-off.
+
+    Source: Smith, Modern Optical Engineering (2008).
+    """
+    share = (frequency / cutoff).clamp(max=1)
+    return 2 / torch.pi * (torch.acos(share) - share * torch.sqrt(1 - share**2))
+
+
 def diffraction_cutoff(f_number: float, wavelength: float) -> float:
     """Compute the cut-off frequency 1 / (lambda N) [cycles/mm] of the diffraction-limited MTF; wavelength in um."""
     return 1e3 / (wavelength * abs(f_number))

@@ -20,6 +20,7 @@ from tasklens.optics.view import View
 
 _LIGHT = 64  # rays per field for the test whether any light arrives
 _RIM = 64  # number of marginal rays for semi-diameters
+_NEAR_AXIS = 1e-4  # field angle [rad] of chief rays near the axis
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
 OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and chief rays
 
@@ -61,12 +62,23 @@ def chief_points(lens: Lens, view: View) -> Tensor:
     return torch.stack([rays.x[:, 0, 0], rays.y[:, 0, 0]], -1)
 
 
+def chief_scale(lens: Lens, view: View) -> Tensor:
+    """Compute the image height per field h / (f tan(theta)), (), of chief rays near the axis, on the image plane.
+
+    It is one for a lens of the view's focal length that is focused paraxially for infinity.
+    """
+    height = view.efl * _NEAR_AXIS
+    fields = torch.tensor([[0.0, -height], [0.0, height]], dtype=view.fields.dtype)
+    low, high = chief_points(lens, replace(view, fields=fields))[:, 1]
+    return (high - low) / (2 * height)
+
+
 def distortion(fields: Tensor, chief: Tensor) -> Tensor:
     """Compute the distortion (F,) h / h0 - 1: a fraction, negative for a barrel, zero on the axis.
 
-    h0 = f tan(theta) is the distance of the pinhole point `fields` (F, 2) from the axis; for an object at a finite
-    distance multiply `fields` by `image_scale`. h is the component of the chief ray's point `chief` (F, 2) along it
-    [mm]: an inverted image has a distortion near -2, not near 0.
+    h0 is the distance of the ideal image point `fields` (F, 2) from the axis: for figures the view's fields times
+    `chief_scale`, as in OpticStudio and CODE V, for limits of a design those of a pinhole. h is the component of the
+    chief ray's point `chief` (F, 2) along it [mm].
     """
     squared = fields.square().sum(-1)
     off_axis = squared > 0

@@ -32,6 +32,8 @@ def largest_tangent(prescription: Prescription, efl: float, pupil_z: float, wave
     kind, points = prescription.fields
     near = math.isfinite(prescription.object_distance_mm)
     if kind == "angle_deg":
+        if (widest := max(abs(angle) for point in points for angle in point)) >= 90:
+            raise InputError(f"a field of {widest:g} degrees: expected less than 90; {_FIELD}")
         return max(math.hypot(*(math.tan(math.radians(angle)) for angle in point)) for point in points)
     height = max(math.hypot(*point) for point in points)
     view = View(torch.zeros(1, 2, dtype=torch.float64), efl, (wavelength,), 1.0, 3, 1 / prescription.object_distance_mm)

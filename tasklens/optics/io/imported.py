@@ -12,7 +12,7 @@ from tasklens.optics.analysis.spots import chief_rays, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Rays, RayStatus
+from tasklens.optics.rays import loss
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
 from tasklens.study.lens_entries import ImportedLens
@@ -73,21 +73,11 @@ def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
     on_axis = replace(view.in_reference(), fields=torch.zeros(1, 2, dtype=view.fields.dtype))
     beam = trace_fields(lens, on_axis, rim(64))
     if not beam.valid.all():
-        where = _loss(beam, ~beam.valid)
-        raise FileError(f"{name}: not fast enough for F/{f_number:g}: the beam on the axis loses light {where}")
+        where = loss(beam, ~beam.valid)
+        raise FileError(f"{name}: not fast enough for F/{f_number:g}: a marginal ray on the axis is lost {where}")
     chief = chief_rays(lens, view)
     if not chief.valid.all():
         field = int((~chief.valid).flatten().nonzero()[0])
         angle = math.degrees(math.atan(float(view.radii[field]) / view.efl))
-        where = _loss(chief, ~chief.valid)
+        where = loss(chief, ~chief.valid)
         raise FileError(f"{name}: does not cover the field: at {angle:.1f} degrees the chief ray is lost {where}")
-
-
-def _loss(rays: Rays, lost: torch.Tensor) -> str:
-    """Describe the surface and status of the first lost ray."""
-    surface, status = f"surface {int(rays.lost_at[lost][0])} (the first is 0)", RayStatus(int(rays.status[lost][0]))
-    return {
-        RayStatus.MISSED: f"where it misses {surface}",
-        RayStatus.VIGNETTED: f"at the clear aperture of {surface}",
-        RayStatus.TOTAL_INTERNAL_REFLECTION: f"by total reflection at {surface}",
-    }[status]

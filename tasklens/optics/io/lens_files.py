@@ -18,15 +18,18 @@ from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.fields import largest_tangent
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
+from tasklens.optics.rays import loss
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, positive
-from tasklens.study.messages import problems
+from tasklens.study.messages import problems, suggestion
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
 _RIM = 64  # marginal rays on the axis
+_FASTEST = 0.5  # F-number, by the sine condition
 _CHANGES = ("field_of_view_deg", "f_number", "pixel_pitch_um", "kernel_size")  # keys of `Spec` that may be changed
+_KEYWORDS = (*_CHANGES, "wavelengths_um", "object_distance_mm", "configuration")
 _COMPUTED = ("figures", "margins", "worst_margin", "local_optimum")  # keys of a lens file for its own specification
 
 
@@ -112,7 +115,7 @@ def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return changed values of `Spec`, converted to numbers; raises InputError."""
     for key in changes:
         if key not in _CHANGES:
-            raise InputError(f"{key}: unknown key; expected one of {', '.join(_CHANGES)}")
+            raise InputError(f"{key}: unknown keyword{suggestion(key, dict.fromkeys(_KEYWORDS))}")
     try:
         spec = Spec.model_validate(changes)
     except ValidationError as error:
@@ -225,6 +228,9 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
             view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
             remarks.append("the file has no field except the axis (--field-of-view)")
     lens, view = _changed(source.lens, view, changes)
+    f_number = efl / (2 * float(paraxial(lens, reference).entrance_pupil_radius))
+    if f_number < _FASTEST:
+        raise InputError(f"F/{f_number:.2g}: no lens in air is faster than F/{_FASTEST}; correct the aperture")
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
         pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
@@ -249,20 +255,24 @@ def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, 
 
 
 def _light_remarks(lens_file: LensFile) -> list[str]:
-    """Return remarks on fields whose chief ray, or all of whose light, does not arrive, and on light lost on axis."""
+    """Return remarks on marginal rays lost on the axis, and on fields of which the chief ray or no light arrives."""
     view = lens_file.view.in_reference()
-    chief = chief_rays(lens_file.lens, view).valid[:, 0, 0]
+    chief = chief_rays(lens_file.lens, view)
     light = has_light(lens_file.lens, view)
     remarks = []
     on_axis = replace(view, fields=torch.zeros_like(view.fields[:1]))
     beam = trace_fields(lens_file.lens, on_axis, rim(_RIM))
-    if light.all() and beam.vignetted.any():
-        remarks.append("clear apertures stop light of the beam on the axis: the F-number is that of the stop alone")
-    for arrives, loss in ((light, "no light arrives"), (chief | ~light, "the chief ray does not arrive")):
+    if light.all() and not beam.valid.all():
+        where = loss(beam, ~beam.valid)
+        remarks.append(f"marginal rays on the axis are lost {where}: the F-number is that of the stop alone")
+    for arrives, effect in (
+        (light, "no light arrives"),
+        (chief.valid[:, 0, 0] | ~light, "the chief ray does not arrive"),
+    ):
         if not arrives.all():
             angle = math.degrees(math.atan(float(view.radii[~arrives].min()) / view.efl))
-            count = int((~arrives).sum())
-            remarks.append(
-                f"{loss} at {count} of {len(light)} fields, from {angle:.1f} degrees on: clear apertures stop it"
-            )
+            count = f"{int((~arrives).sum())} of {len(light)} fields, from {angle:.1f} degrees on"
+            lost = ~chief.valid & ~arrives[:, None, None]
+            reason = f": it is lost {loss(chief, lost)}" if lost.any() else ""
+            remarks.append(f"{effect} at {count}{reason}")
     return remarks

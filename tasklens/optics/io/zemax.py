@@ -1,9 +1,9 @@
 """Zemax lens files (.zmx) of rotationally symmetric sequential lenses of even aspheres.
 
 Supported data: standard, even and extended aspheres, the stop, clear apertures, glasses from catalogues and model
-glasses, object distance, aperture, fields, wavelengths, title and comments. Data for Zemax's own analyses (vignetting
-factors, weights, solves, coatings, tolerances, merit functions) and apertures of object and image surface are ignored.
-Every other line is an error.
+glasses, object distance, aperture, fields, wavelengths, title and comments. Data for Zemax's own analyses (weights,
+solves, coatings, tolerances, merit functions) and apertures of object and image surface are ignored, so are vignetting
+factors and weights of wavelengths, with a remark. Every other line is an error.
 """
 
 import math
@@ -22,6 +22,7 @@ from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_behind, check_surface, check_system
 from tasklens.optics.io.zemax_surfaces import Block, to_lens, to_lines
 from tasklens.optics.io.zemax_system import (
+    ignored_data,
     read_aperture,
     read_fields,
     read_object_distance,
@@ -91,6 +92,7 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
         remarks.append(f"configuration {current} of {count} (--configuration)")
 
     wavelengths, primary = read_wavelengths(system, path)
+    remarks += ignored_data(system)
     object_distance = read_object_distance(blocks[0].line("DISZ"), unit)
     line, aperture = read_aperture(system, unit, math.isfinite(object_distance), path)
     if aperture is None:
@@ -104,6 +106,10 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
     clear = float(semi_diameter[lens.stop])
     follows_light = "FLAP" in inner[lens.stop].lines  # a floating aperture
     if not follows_light and clear < radius * (1 - _ROUNDING):
+        remarks.append(
+            f"{line.keyword} {line.text} needs a stop of radius {radius:.4g} mm; its clear aperture of "
+            f"{clear:.4g} mm is used"
+        )
         radius, aperture = clear, None
     if not 0 < radius < math.inf:
         raise line.error(f"the computed radius of the stop is {radius} mm, expected a positive number")

@@ -124,6 +124,23 @@ def read_wavelengths(system: Mapping[str, Line], path: Path) -> tuple[tuple[floa
     return tuple(wavelengths), primary - 1
 
 
+def ignored_data(system: Mapping[str, Line]) -> list[str]:
+    """Return remarks on ignored data of fields and wavelengths that change figures in Zemax; raises FileError."""
+    remarks = []
+    fields, colours = (system["FTYP"].integer(i) for i in (2, 3))
+    factors = [system[keyword] for keyword in ("VDXN", "VDYN", "VCXN", "VCYN") if keyword in system]
+    if any(line.number(i) for line in factors for i in range(min(fields, len(line.words)))):
+        remarks.append("vignetting factors are ignored: light fills the stop at every field, apertures vignette")
+    if "WWGN" in system:
+        weights = {system["WWGN"].number(i) for i in range(min(colours, len(system["WWGN"].words)))}
+    else:
+        lines = (system[f"WAVM {i}"] for i in range(1, colours + 1) if f"WAVM {i}" in system)
+        weights = {line.number(2) for line in lines if len(line.words) > 2}
+    if len(weights) > 1:
+        remarks.append("weights of wavelengths are ignored: all weigh the same")
+    return remarks
+
+
 def read_object_distance(line: Line, unit: float) -> float:
     """Read the distance from the object to the first surface [mm], infinite beyond Zemax's limit; raises FileError."""
     distance = math.inf if line.words[:1] == ["INFINITY"] else line.number(0)
