@@ -106,6 +106,8 @@ def test_a_shifted_image_plane(file, capsys):
     a, b, c, d = (numpy.square(analyses[shift]["rms_centroid_um"]) for shift in shifts)
     assert d == pytest.approx(a - 3 * b + 3 * c, rel=0, abs=1e-9 * d.max())
     assert numpy.abs(c - b).min() > 1e-3
+    best, near = (json_of(capsys, "analyse", file, *FEW, "--focus", shift) for shift in ("best", 5))
+    assert sum(best["rms_centroid_um"]) < sum(near["rms_centroid_um"])
     (output,) = json_of(capsys, "show", file, *FEW, "--focus", 20).values()
     assert output["fields"]["rms_centroid_um"][0] == pytest.approx(analyses[20.0]["rms_centroid_um"][0], rel=1e-12)
 
@@ -295,7 +297,7 @@ MISTAKES = [
     (("show", SAME, "--catalogue", "absent.agf"), "absent.agf: no such file or directory"),
     (("show", "text.zmx"), "text.zmx, line 1: hello: unknown keyword (with ''), which may change rays; delete"),
     (("show", DOUBLET, "--kernel-size", "50"), "kernel_size = 50: expected an odd number, so that the PSF has a"),
-    (("show", DOUBLET, "--focus", "nan"), "--focus nan: expected a number of micrometres, such as -10"),
+    (("show", DOUBLET, "--focus", "nan"), "--focus nan: expected a number of micrometres, such as -10, or best"),
     (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than or equal to 0.5"),
     (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),
     (("show", PHONE, "--wavelengths", "0.5,red"), "wavelengths_um: expected a number, found 'red'"),

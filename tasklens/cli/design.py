@@ -187,10 +187,13 @@ def design(
 @contextmanager
 def _keys_as_options() -> Iterator[None]:
     """Replace keys of a study by options of this command in error messages."""
+    from tasklens.study.single import NETWORK
+
     try:
         yield
     except InputError as error:
         text = re.sub(r"\bconstraints\.(\w+)", r"--limit \1", str(error))
+        text = text.replace(f"classifiers.{NETWORK}: ", "--classifier ")
         text = re.sub(r"\bspec\.(\w+?)(?:_deg|_mm|_um)?\b", lambda key: f"--{key[1].replace('_', '-')}", text)
         raise InputError(text) from None
 

@@ -16,6 +16,7 @@ from tasklens.runtime.errors import InputError
 if TYPE_CHECKING:
     from tasklens.optics.io.lens_files import LensFile
 
+_RAYS = 1024  # per field and colour, for the best focus
 _PANEL = "Values that differ from the file, or are missing in it"
 
 
@@ -30,8 +31,8 @@ Wavelengths = Annotated[
     typer.Option(help="Wavelengths (um), the reference in the middle: 0.65,0.55,0.47.", rich_help_panel=_PANEL),
 ]
 Focus = Annotated[
-    float | None,
-    typer.Option(help="Shift of the image plane away from the lens (um).", rich_help_panel=_PANEL),
+    str | None,
+    typer.Option(help="Shift of the image plane away from the lens (um), or best.", rich_help_panel=_PANEL),
 ]
 ObjectDistance = Annotated[
     float | None,
@@ -78,21 +79,33 @@ def reader(
         )
         for remark in file.remarks:
             say(f"{path}: {remark}")
-        return _with_image_moved(file, focus) if focus else file
+        return file if focus is None else _focused(file, focus, path)
 
     return read
 
 
-def _with_image_moved(file: "LensFile", shift: float) -> "LensFile":
-    """Return a lens with its image plane `shift` micrometres further away; raises InputError."""
+def _focused(file: "LensFile", focus: str, path: Path) -> "LensFile":
+    """Return a lens with its image plane moved by a number of micrometres, or to the best focus; raises InputError."""
+    from tasklens.optics.analysis.focus import refocused
     from tasklens.optics.io import lens_files
 
-    if not math.isfinite(shift):
-        raise InputError(f"--focus {shift}: expected a number of micrometres, such as -10")
-    thickness = file.lens.thickness.clone()
-    thickness[-1] += 1e-3 * shift
-    lens = replace(file.lens, thickness=thickness)
+    if focus == "best":
+        lens = refocused(file.lens, file.view, _RAYS)
+        say(f"{path}: --focus {1e3 * float(lens.thickness[-1] - file.lens.thickness[-1]):.1f}, by the mean RMS spot")
+    else:
+        thickness = file.lens.thickness.clone()
+        thickness[-1] += 1e-3 * _micrometres(focus)
+        lens = replace(file.lens, thickness=thickness)
     return replace(file, lens=lens, content=lens_files.without_figures(file.content))
+
+
+def _micrometres(focus: str) -> float:
+    try:
+        if math.isfinite(shift := float(focus)):
+            return shift
+    except ValueError:
+        pass
+    raise InputError(f"--focus {focus}: expected a number of micrometres, such as -10, or best")
 
 
 def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:

@@ -93,10 +93,10 @@ def rank(
         "kernel_size": kernel_size,
         "object_distance_mm": object_distance,
     }
+    paths = ranking.lens_paths(lenses)
     section = ranking.image_settings(images, size, photographs, fine_tune > 0)
     capture = {"diffraction": diffraction, "sensor": None if noise is None else {"full_well": noise}}
     tolerances = {"grade": grade}
-    paths = ranking.lens_paths(lenses)
     with progress_bars():
         screened = ranking.screen(paths, spec, [*(catalogue or ()), *users_files()], scale)
 

@@ -77,6 +77,9 @@ FORMULAS: dict[str, tuple[int, Index]] = {
 }
 
 
+_FAR_INFRARED = 100.0  # um; a larger number is a wavelength in nm
+
+
 @dataclass(frozen=True)
 class Material:
     """An optical material.
@@ -105,6 +108,8 @@ class Material:
             raise ValueError(f"{self.name}: {self.formula} has {count} coefficients, got {len(self.coefficients)}")
         if not 0 <= self.range_um[0] < self.range_um[1]:
             raise ValueError(f"{self.name}: expected a range of rising wavelengths, got {self.range_um}")
+        if self.range_um[0] > _FAR_INFRARED:
+            raise ValueError(f"{self.name}: range_um: expected um, got {self.range_um}, which seem to be nm")
         if self.zemax and len(self.zemax.split()) != 2:
             raise ValueError(
                 f"{self.name}: zemax: expected a catalogue and a name, such as MISC PMMA, got {self.zemax}"
@@ -123,7 +128,10 @@ class Material:
         """
         if not self.covers(wavelength):
             low, high = self.range_um
-            raise InputError(f"{self.name}: wavelength {wavelength} um is outside the fitted range {low} to {high} um")
+            hint = "; wavelengths are in um, such as 0.55" if wavelength > _FAR_INFRARED else ""
+            raise InputError(
+                f"{self.name}: wavelength {wavelength} um is outside the fitted range {low} to {high} um{hint}"
+            )
         try:
             index = FORMULAS[self.formula][1](self.coefficients, wavelength)
         except (ValueError, ArithmeticError):
@@ -192,8 +200,11 @@ def _defined(name: object, entry: object, where: str) -> Material:
         raise FileError(f"{where}: {name!r} cannot be the name of a material")
     where = f"{where}: {name}"
     keys = ("formula", "coefficients", "range_um", "source", "zemax")
-    if not isinstance(entry, Mapping) or not set(keys[:3]) <= set(entry) <= set(keys):
+    if not isinstance(entry, Mapping):
         raise FileError(f"{where}: expected the keys {', '.join(keys)}, found {entry!r}")
+    wrong = [f"{key!r} is unknown" for key in entry if key not in keys]
+    if wrong := [*wrong, *(f"{key} is missing" for key in keys[:3] if key not in entry)]:
+        raise FileError(f"{where}: {', '.join(wrong)}; expected the keys {', '.join(keys)}")
     for key in ("coefficients", "range_um"):
         if not isinstance(entry[key], list | tuple):
             raise FileError(f"{where}: {key}: expected a list of numbers, found {entry[key]!r}")

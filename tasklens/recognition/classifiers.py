@@ -1,6 +1,7 @@
 """Classifiers: timm networks for images or captures in [0, 1]."""
 
 import copy
+import difflib
 import re
 import socket
 import urllib.parse
@@ -229,6 +230,8 @@ def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10)
             answer = network(images)
     except Exception as error:  # timm raises RuntimeError, TypeError, AssertionError, ..., depending on the layer
         reason = str(error).removeprefix(f"{settings.model}: ")
+        if "Unknown model" in reason and (near := difflib.get_close_matches(settings.model, timm.list_models(), 1)):
+            reason += f"; did you mean {near[0]}?"
         raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {reason}") from error
     try:
         check_logits(answer, 1, outputs)

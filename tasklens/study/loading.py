@@ -14,7 +14,7 @@ from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError
 from tasklens.study import consistency
 from tasklens.study.layers import merged_settings
-from tasklens.study.messages import missing_keys, problems
+from tasklens.study.messages import missing_keys, problems, suggestion
 from tasklens.study.quantities import Name
 from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
@@ -136,8 +136,13 @@ def file_of(name: str, *folders: Path) -> Path:
             return path
         if (path := folder / "config.yaml").is_file() and read(path).get("name") == name:
             return path
-    names = ", ".join(sorted({path.stem for folder in places for path in folder.glob("*.yaml")}))
-    raise StudyError(f"{name}.yaml: no such study in {' or '.join(map(str, places))}; expected one of {names}")
+    paths = [path for folder in places for path in folder.glob("*.yaml")]
+    names = dict.fromkeys(
+        sorted({path.stem if path.stem != "config" else str(read(path).get("name")) for path in paths})
+    )
+    raise StudyError(
+        f"{name}.yaml: no such study in {' or '.join(map(str, places))}{suggestion(name, dict.fromkeys(names))}"
+    )
 
 
 def read(path: str | Path) -> Mapping:

@@ -13,7 +13,7 @@ from tasklens.study.loading import parse
 from tasklens.study.study import Study
 
 ELEMENTS = "lens"  # name of its elements
-_NETWORK = "network"
+NETWORK = "network"
 _FIRST = "least_squares"  # designed first if a design starts from the best imaging lens
 _SIDE = 64  # of rendered images [pixels]
 
@@ -69,8 +69,8 @@ def study(
         "elements": {ELEMENTS: list(elements)},
         "materials": list(materials),
         "designs": designs,
-        "supervisor": _NETWORK,
-        "classifiers": {_NETWORK: classifier or {"model": "none", "pretrained": True}},
+        "supervisor": NETWORK,
+        "classifiers": {NETWORK: classifier or {"model": "none", "pretrained": True}},
         "fine_tuning": {"epochs": 0, "learning_rate": 1e-3},
         "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
     }
