@@ -137,12 +137,9 @@ def file_of(name: str, *folders: Path) -> Path:
         if (path := folder / "config.yaml").is_file() and read(path).get("name") == name:
             return path
     paths = [path for folder in places for path in folder.glob("*.yaml")]
-    names = dict.fromkeys(
-        sorted({path.stem if path.stem != "config" else str(read(path).get("name")) for path in paths})
-    )
-    raise StudyError(
-        f"{name}.yaml: no such study in {' or '.join(map(str, places))}{suggestion(name, dict.fromkeys(names))}"
-    )
+    names = sorted({str(read(path).get("name")) if path.stem == "config" else path.stem for path in paths})
+    hint = suggestion(name, dict.fromkeys(names))
+    raise StudyError(f"{name}.yaml: no such study in {' or '.join(map(str, places))}{hint}")
 
 
 def read(path: str | Path) -> Mapping:
