@@ -7,8 +7,9 @@ import torch
 from torch import Tensor
 
 from restoration.nafnet import NAFNet, build
-from tasklens.imaging import PsfCamera, noise, psnr
+from tasklens.imaging import PsfCamera, psnr
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import Shuffled, warmup_cosine
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
@@ -53,13 +54,11 @@ def train(
     optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, _BETAS, weight_decay=0.0, fused=True)
     schedule = warmup_cosine(optimizer, settings.steps, _WARMUP)
     progress = Progress("restoration", settings.steps)
-    order = Shuffled(len(dataset), settings.batch_size, generator)
+    order, pipeline = Shuffled(len(dataset), settings.batch_size, generator), CapturePipeline(camera)
     part = checkpoint.part("restoration", network=network, optimizer=optimizer, schedule=schedule, order=order)
     for step in range(part.step + 1, settings.steps + 1):
         images, _ = dataset.batch(order.next())
-        fields = torch.randint(len(camera.psf), (len(images),), generator=generator)
-        noise_sample = None if camera.sensor is None else noise(images.shape, generator)
-        pairs = torch.stack([camera.single(images, fields, noise_sample), images])
+        pairs = torch.stack([pipeline.one_field(images, generator), images])
         quality = _step(network, optimizer, *_crop(pairs, settings.crop, generator))
         _check_finite("PSNR", quality, step)
         progress(step, psnr_db=quality)
@@ -84,7 +83,7 @@ def _crop(images: Tensor, side: int | None, generator: torch.Generator) -> Tenso
 
 def _check_finite(name: str, value: float, step: int) -> None:
     if not math.isfinite(value):
-        raise FloatingPointError(f"restoration: the {name} became {value} at step {step}; lower its learning_rate")
+        raise FloatingPointError(f"restoration: {name} = {value} at step {step}; lower restoration.learning_rate")
 
 
 def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, images: Tensor) -> float:

@@ -18,7 +18,7 @@ from tasklens.recognition import classifiers, evaluation, folders
 from tasklens.recognition import dataset as data
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
-from tasklens.study import users_code
+from tasklens.study import user_code
 from tasklens.study.loading import parse
 from tasklens.study.settings import ClassifierSettings, TrainingSettings
 
@@ -323,7 +323,7 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
         model="own_networks:small", arguments={"width": 4}, weights=tmp_path / "mine.safetensors"
     )
     torch.manual_seed(0)
-    network = users_code.load(settings.model)(3, 4).eval()
+    network = user_code.load(settings.model)(3, 4).eval()
     save_file(network.state_dict(), settings.weights)
     images = torch.rand(2, 3, 16, 16)
     torch.testing.assert_close(classifiers.build(settings, names(3)).eval()(images), network(images), rtol=0, atol=1e-6)

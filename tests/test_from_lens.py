@@ -168,7 +168,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         (("--free", "radius"), "free: unknown variable 'radius'; expected some of curvature, thickness, alpha_4"),
         (("--free", "curvature:4"), "free: curvature: surface 4 does not refract; expected some of 0, 1, 2, 3, 5"),
         (("--free", "alpha_x"), "--free alpha_x: expected variables such as curvature,thickness:1+3,alpha_4..10"),
-        (("--method", "least_squares"), "method: least_squares begins with random lenses; for a lens"),
+        (("--method", "least_squares"), "method: least_squares starts from random lenses"),
         (("--wavelengths", "0.55"), "designs need three wavelengths: --wavelengths 0.65,0.55,0.47"),
         (("--field-of-view", "0.05"), "field_of_view_deg"),
         (("--object", "400"), "designs need an object at infinity: give --object inf"),

@@ -10,7 +10,7 @@ from reference_files import SHARED, reference_files
 
 from tasklens.materials import catalogues, library
 from tasklens.materials.catalogues import builtin
-from tasklens.materials.library import FOLDER, Library, UnknownGlassError, in_zemax, nearest, of_maker, users_files
+from tasklens.materials.library import FOLDER, Library, UnknownGlassError, in_zemax, nearest, of_maker, user_files
 from tasklens.materials.material import C_LINE, D_LINE, F_LINE, G_LINE, Material
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
@@ -145,10 +145,10 @@ def test_a_folder_of_ones_own_catalogues(tmp_path, monkeypatch):
     monkeypatch.setenv(FOLDER, str(tmp_path))
     catalogue = write_catalogue(tmp_path, "mine", ("A", 1.5))
     (tmp_path / "notes.txt").write_text("")
-    assert users_files() == [catalogue]
+    assert user_files() == [catalogue]
     monkeypatch.setenv(FOLDER, str(tmp_path / "absent"))
     with pytest.raises(FileError, match=rf"absent: no such folder.*{FOLDER}"):
-        users_files()
+        user_files()
 
 
 def test_the_nearest_glass():

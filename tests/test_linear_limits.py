@@ -29,7 +29,7 @@ def autograd_violations(lens, semi_diameter, chief) -> torch.Tensor:
 
 
 def example(seed: int) -> tuple:
-    """A lens with aspheres, radii that light uses (one below the stop's), and chief rays; every limit is violated."""
+    """A lens with aspheres, illuminated radii (one below the stop's), and chief rays; every limit is violated."""
     generator = torch.Generator().manual_seed(seed)
 
     def uniform(low: float, high: float, *shape: int) -> torch.Tensor:

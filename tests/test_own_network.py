@@ -11,7 +11,7 @@ import tasklens
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.single import BASELINES, designs
 from tasklens.design.supervision import loss_at_psf
-from tasklens.design.supervisors import UsersTask
+from tasklens.design.supervisors import UserTask
 from tasklens.notebook.verdict import verdict
 from tasklens.recognition import classifiers
 from tasklens.recognition.classifiers import Classifier
@@ -80,7 +80,7 @@ def test_fields_weigh_by_a_loss_for_each_image(network):
     generator = torch.Generator().manual_seed(0)
     sharp, grid = torch.rand(4, 3, 32, 32, generator=generator), torch.rand(2, 3, 5, 5, generator=generator) / 25
     labels, weights = torch.arange(4) % 3, torch.tensor([0.4, 1.6])
-    criterion = TaskLoss(frozen, UsersTask(lambda logits, labels: cross_entropy(logits, labels, reduction="none")))
+    criterion = TaskLoss(frozen, UserTask(lambda logits, labels: cross_entropy(logits, labels, reduction="none")))
     equal, weighted, parts = (
         loss_at_psf(criterion, sharp, labels, grid, CaptureSettings(), size, weights=w)
         for size, w in ((8, None), (8, weights), (3, weights))

@@ -238,14 +238,14 @@ def test_a_network_that_gets_used_to_each_lens(here):
     "arguments, words",
     [
         (COMMAND[:2], "expected --images FOLDER and --classifier NAME"),
-        (COMMAND, "expected its --weights FILE, or --pretrained"),
+        (COMMAND, "give one of --weights FILE, --pretrained"),
         ((*COMMAND[:1], "nowhere", *COMMAND[2:], *SENSOR), "nowhere: no such lens file or folder"),
         ((*COMMAND[:1], "photographs", *COMMAND[2:], *SENSOR), "photographs: no lens file there"),
         (
             (*COMMAND[:1], "lenses/narrow.yaml", *COMMAND[2:], *SENSOR),
             "none of the lenses can be measured: narrow: covers",
         ),
-        ((*COMMAND, *SENSOR, "--as-built", "1", "--diffraction"), "--as-built: lenses are built without diffraction"),
+        ((*COMMAND, *SENSOR, "--as-built", "1", "--diffraction"), "--as-built: not with --diffraction"),
         ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected greater than 0"),
         ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),
     ],

@@ -1,4 +1,4 @@
-"""Design for built lenses: errors of manufacture in every step and in every validation."""
+"""Design for built lenses: manufacturing errors in every step and in every validation."""
 
 import math
 from dataclasses import replace

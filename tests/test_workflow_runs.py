@@ -101,7 +101,7 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     assert main(["study", "plan", "faster.yaml", "--target", "table1", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     assert report["changed"] == ["spec.f_number: 2.8 -> 2.0"]
-    again = {stage: len(jobs["again"]) for stage, jobs in report["jobs"].items() if jobs["again"]}
+    again = {stage: len(jobs["rerun"]) for stage, jobs in report["jobs"].items() if jobs["rerun"]}
     assert again == {"design": 1, "fine_tune": 1, "table": 1}
     assert main(["study", "status", "results/tiny"]) == 0
     assert "6 of 6 jobs done" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""A doublet, and grades that tolerate only some errors of manufacture."""
+"""A doublet, and grades that tolerate only some manufacturing errors."""
 
 from examples import f64, make_lens, materials
 

@@ -24,7 +24,7 @@ from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_j
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
-_SPEC = "Specification; with --start, the file has the defaults"
+_SPEC = "Specification (with --start: overrides of the file)"
 _METHOD = (
     "Design method: least_squares, spot (the default with --start), image_quality, image_error, correlation; with a "
     "network: task, joint, end_to_end. [default: least_squares]"
@@ -100,7 +100,7 @@ def design(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Design one lens. A doublet takes a minute by least squares; `task` starts from image-quality lenses.
+    """Design one lens. A least-squares doublet takes a minute; `task` starts from the better imaging lens.
 
     tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
 
@@ -174,7 +174,7 @@ def design(
 
         with progress_bars():
             answer, ranking = judged(result, test_images)
-        ranking.save(page, "What is the lens worth?", [answer])
+        ranking.save(page, "Lens comparison", [answer])
         summary |= {"verdict": answer, "page": str(page)}
     if json:
         print_json(summary)

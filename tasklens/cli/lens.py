@@ -94,11 +94,11 @@ def tolerance(
     grade: Annotated[
         str, typer.Option(help="Grade: precision_moulding, commercial_moulding or phone_moulding.")
     ] = _GRADE,
-    lenses: Annotated[int, typer.Option(min=10, help="Number of lenses built in simulation.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the errors of manufacture.")] = 0,
+    lenses: Annotated[int, typer.Option(min=10, help="Number of Monte Carlo lenses.")] = 200,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the manufacturing errors.")] = 0,
     json: AsJson = False,
 ) -> None:
-    """Estimate manufacturing losses: yield, critical errors, and tolerances for a drawing."""
+    """Monte Carlo tolerancing: yield, worst offenders, and tolerances for a drawing."""
     from tasklens.optics.tolerancing import focus, yields
     from tasklens.report import yields as report
     from tasklens.study.tolerance_settings import GRADES, Grade
@@ -211,13 +211,13 @@ def export(
     configuration: Configuration = None,
     force: Force = False,
 ) -> None:
-    """Convert a lens for Zemax, or from Zemax to YAML."""
-    from tasklens.materials.library import users_files
+    """Convert a lens between YAML and Zemax."""
+    from tasklens.materials.library import user_files
     from tasklens.optics.io import lens_files, prescription
     from tasklens.optics.io.zemax_glasses import NamedGlasses
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
-    lens_data, content = lens_files.read_prescription(file, [*(catalogue or ()), *users_files()], configuration)
+    lens_data, content = lens_files.read_prescription(file, [*(catalogue or ()), *user_files()], configuration)
     lacks_system_data = output.suffix.lower() == ".zmx" and not (lens_data.fields and lens_data.wavelengths_um)
     if field_of_view is not None or lacks_system_data:
         view = reader(field_of_view, catalogue=catalogue, configuration=configuration)(file).view

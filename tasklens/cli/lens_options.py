@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tasklens.optics.io.lens_files import LensFile
 
 _RAYS = 1024  # per field and colour, for the best focus
-_PANEL = "Values that differ from the file, or are missing in it"
+_PANEL = "Overrides, and values missing from the file"
 
 
 FieldOfView = Annotated[float | None, typer.Option(help="Full field of view (degrees).", rich_help_panel=_PANEL)]
@@ -59,10 +59,10 @@ def reader(
     configuration: Configuration = None,
 ) -> Callable[[Path], "LensFile"]:
     """Return a function that reads lenses with these options."""
-    from tasklens.materials.library import users_files
+    from tasklens.materials.library import user_files
     from tasklens.optics.io import lens_files
 
-    files = [*(catalogue or ()), *users_files()]
+    files = [*(catalogue or ()), *user_files()]
     colours = wavelengths.split(",") if wavelengths else None
 
     def read(path: Path) -> "LensFile":

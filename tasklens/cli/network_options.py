@@ -8,7 +8,7 @@ import typer
 import yaml
 
 from tasklens.runtime.errors import InputError
-from tasklens.study.users_code import is_users
+from tasklens.study.user_code import is_users
 
 _PANEL = "Network and photographs"
 
@@ -51,9 +51,9 @@ def network_settings(
 ) -> dict[str, Any]:
     """Return the section of a study for a network; raises InputError if it has no weights."""
     if (weights is None) != pretrained and not is_users(name):
-        raise InputError(f"--classifier {name}: expected its --weights FILE, or --pretrained")
+        raise InputError(f"--classifier {name}: give one of --weights FILE, --pretrained")
     if weights is not None and not weights.is_file():
-        raise InputError(f"{weights}: no such file of weights")
+        raise InputError(f"--weights {weights}: no such file")
     network = {"model": name, "outputs": outputs, "arguments": nested(arguments or (), "--argument")}
     return network | {"weights": None if weights is None else str(weights), "pretrained": pretrained}
 

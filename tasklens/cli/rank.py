@@ -64,10 +64,10 @@ def rank(
         float, typer.Option(min=0, help="Epochs of fine-tuning on each lens.", rich_help_panel=_MORE)
     ] = 0.0,
     as_built: Annotated[
-        int, typer.Option(min=0, help="Build this many of the best lenses in simulation.", rich_help_panel=_MORE)
+        int, typer.Option(min=0, help="Monte Carlo tolerancing of this many of the best lenses.", rich_help_panel=_MORE)
     ] = 0,
     grade: Annotated[
-        str, typer.Option(help="Grade of manufacture of built lenses.", rich_help_panel=_MORE)
+        str, typer.Option(help="Tolerance grade of built lenses.", rich_help_panel=_MORE)
     ] = "precision_moulding",
     catalogue: Catalogues = None,
     name: Annotated[str, typer.Option(help="Name; results are in results/NAME.")] = "ranking",
@@ -81,9 +81,9 @@ def rank(
     if images is None or classifier is None:
         raise InputError("expected --images FOLDER and --classifier NAME with --weights FILE (or --pretrained)")
     if as_built and diffraction:
-        raise InputError("--as-built: lenses are built without diffraction; omit one of them")
+        raise InputError("--as-built: not with --diffraction; omit one of them")
     network = network_settings(classifier, weights, pretrained, outputs, argument)
-    from tasklens.materials.library import users_files
+    from tasklens.materials.library import user_files
     from tasklens.pipeline import ranking
     from tasklens.study import loading
 
@@ -98,7 +98,7 @@ def rank(
     capture = {"diffraction": diffraction, "sensor": None if noise is None else {"full_well": noise}}
     tolerances = {"grade": grade}
     with progress_bars():
-        screened = ranking.screen(paths, spec, [*(catalogue or ()), *users_files()], scale)
+        screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale)
 
     def study(built: list[str]) -> dict:
         return ranking.study(name, screened, spec, section, network, capture, fine_tune, sieve, tolerances, built)

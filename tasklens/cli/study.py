@@ -187,11 +187,11 @@ def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> 
 
 def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str, cores: int) -> None:
     durations, figures = durations_of(study), _figures(study, planned, cores)
-    print(f"{'rule':<18} {'done':>5} {'missing':>8} {'again':>6}  {'each':>10}")
+    print(f"{'rule':<18} {'done':>5} {'missing':>8} {'rerun':>6}  {'per job':>10}")
     for rule, jobs in planned.items():
         seconds = durations.seconds(rule)
         per_job = "?" if seconds is None else duration(seconds)
-        print(f"{rule:<18} {len(jobs.done):>5} {len(jobs.missing):>8} {len(jobs.again):>6}  {per_job:>10}")
+        print(f"{rule:<18} {len(jobs.done):>5} {len(jobs.missing):>8} {len(jobs.rerun):>6}  {per_job:>10}")
     if figures["changed"]:
         print("Changed since the last run:", *figures["changed"], sep="\n  ")
     total = sum(jobs.remaining for jobs in planned.values())

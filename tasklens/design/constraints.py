@@ -28,11 +28,11 @@ BUFFER = 0.01  # margin that designs aim at: soft penalties end short of it [mm;
 def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor) -> dict[str, Tensor]:
     """Compute the margins of manufacturing limits [mm; slopes without unit], negative where a limit is violated.
 
-    An element has the larger of the radii that light uses on its two surfaces. Beyond the radius that light uses, a
+    An element has the larger of the illuminated radii on its two surfaces. Beyond the illuminated radius, a
     surface is a flat flange, and its polynomial is not evaluated.
 
     Args:
-        semi_diameter: (S,) radius that light uses on each surface [mm].
+        semi_diameter: (S,) illuminated radius on each surface [mm].
     """
     semi = semi_diameter.clamp(min=float(lens.semi_diameter[lens.stop]))
     front, behind, element = spaces(lens)
@@ -61,8 +61,8 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
 def spaces(lens: Lens) -> tuple[Tensor, Tensor, Tensor]:
     """Return the surfaces (P,) in front of and behind each space between elements, and which spaces (P,) are elements.
 
-    A stop or another plane in air between two elements bounds no space; nor does a stop in the first element. A stop in
-    front of the lens bounds one.
+    A plane in air between elements, or a stop inside the first element, bounds no space; a stop in front of the lens
+    does.
     """
     refracting = lens.refracting_surfaces
     pairs = list(pairwise(refracting))

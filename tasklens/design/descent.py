@@ -1,7 +1,7 @@
 """A descent of a lens: step, validation, and the loop with progress, history, checkpoints and divergence.
 
 The loss of a few images says little about a lens. So a descent ends with the lens of the smallest loss on a fixed set
-of images, at the last pixel pitch and the full stop.
+of images, at the final pitch and full aperture.
 """
 
 import math
@@ -24,7 +24,7 @@ from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.progress import Progress
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 
-VALIDATIONS = 20  # validations of a descent, if all its pixels have their last size
+VALIDATIONS = 20  # validations of a descent, if its pixel pitch is constant
 _PATIENCE = 3  # validations without a better lens
 _ROWS = 100  # smallest number of rows of a history, if there are enough steps
 _SHOWN = ("loss", "validation_loss", "energy_in_window", "penalty")  # numbers of a step in progress lines
@@ -37,7 +37,7 @@ class Diverged(Exception):
 class Descent:
     """One descent.
 
-    If the criterion is trained, each validation compares the best lens with the present one by the present network.
+    If the criterion is trained, each validation compares the best lens with the current one by the current network.
 
     Args:
         start: starting lens.
@@ -110,14 +110,14 @@ class Descent:
         return numbers, rms_spot_radius(loss.rays, centroid(loss.rays)).detach()
 
     def _validate(self) -> float:
-        """Compute the loss of the present lens on the fixed images, and remember the lens if it is the best."""
+        """Compute the loss of the current lens on the fixed images, and remember the lens if it is the best."""
         vector = self.optimizer.vector().detach().clone()
         loss = self._validation_loss(vector)
         if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
             self.least = self.least[0], self._validation_loss(self.best)
         violation = self.optimizer.violation()
         score = violation > LEEWAY_MM, loss
-        if math.isfinite(loss + violation) and score <= self.least:  # a lens of NaN has grey captures
+        if math.isfinite(loss + violation) and score <= self.least:  # a NaN lens has a finite loss
             self.least, self.best, self.failures = score, vector, 0
             return loss
         self.failures += 1

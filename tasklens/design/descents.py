@@ -4,9 +4,9 @@ Gradient descent from flat plates ends in poor lenses, for two reasons: equal st
 different ray displacements, and results depend strongly on the image order. So each step is measured in ray
 displacement (see `ray_space`), and the best of several restarts from the plates are refined.
 
-If a design begins with other lenses, the best of them by its criterion is the start. Judge the lens as it will be
-saved: candidates and the result have their limits repaired and apertures set, and their losses are on other images than
-those that guide a descent. A result that has only overfitted the images of its descent is replaced by its start.
+If a design begins with other lenses, the best of them by its criterion is the start. Lenses are compared as saved:
+limits repaired, apertures set, and on images other than those that guide a descent. A result that has only overfitted
+the images of its descent is replaced by its start.
 """
 
 from collections.abc import Callable, Mapping
@@ -27,7 +27,7 @@ from tasklens.study.design_settings import DescentSettings, GradientDesignSettin
 
 
 @dataclass(frozen=True)
-class _Descended:
+class _Result:
     """A lens with its `Descent.least`, its supervisor, and the labels of the descents that led to it."""
 
     lens: Lens
@@ -81,7 +81,7 @@ def design(
         best_candidate = min(losses, key=lambda name: losses[name])
         start, origin["start"] = candidates[best_candidate], best_candidate
         history += [{"phase": f"candidate {name}", "validation_loss": loss} for name, loss in losses.items()]
-    lenses = [_Descended(start)] * settings.descents[0].lenses
+    lenses = [_Result(start)] * settings.descents[0].lenses
     for k, part in enumerate(settings.descents, 1):
         results = []
         for i, parent in enumerate(lenses[: part.lenses], 1):
@@ -90,7 +90,7 @@ def design(
             descent = Descent(parent.lens, supervisor(part), settings, part, seed)  # a trained network starts afresh
             lens, rows = run(descent, label, checkpoint)
             history += rows
-            results.append(_Descended(lens, descent.supervisor, descent.least, (*parent.labels, label)))
+            results.append(_Result(lens, descent.supervisor, descent.least, (*parent.labels, label)))
         lenses = sorted(results, key=lambda result: result.least)
     best = lenses[0]
     assert best.supervisor is not None  # there is a descent

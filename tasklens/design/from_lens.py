@@ -74,7 +74,7 @@ def design(
         seed: seed of all random numbers.
         user: images, network and task of a user.
         baselines: criteria for comparison; each improves the lens with the same effort.
-        remark: is called before the design with each assumption about the lens, in words.
+        remark: callback for each assumption about the lens, as text, before the design.
 
     Returns:
         All lenses, from the start to the result of the method.
@@ -84,7 +84,7 @@ def design(
             surfaces cross, the lens lacks a variable, or `design_lens` raises it.
     """
     if method == "least_squares":
-        raise InputError("method: least_squares begins with random lenses; for a lens of yours choose another method")
+        raise InputError("method: least_squares starts from random lenses; with `start` choose another method")
     try:
         given = Constraints.model_validate(constraints)
     except ValidationError as error:
@@ -218,21 +218,18 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
     """Return the specification of a lens, and its view with nine fields."""
     if file.view.object_vergence:
         raise InputError("designs need an object at infinity: give --object inf, which refocuses the lens")
-    colours = file.view.wavelengths
-    if len(colours) != 3 or sorted(colours, reverse=True) != list(colours):
-        if len(set(colours)) < 3:
-            raise InputError("designs need three wavelengths: --wavelengths 0.65,0.55,0.47")
-        colours = file.view.in_colours().wavelengths
+    if len(set(file.view.wavelengths)) < 3:
+        raise InputError("designs need three wavelengths: --wavelengths 0.65,0.55,0.47")
     radius = float(paraxial(file.lens, file.view.reference).entrance_pupil_radius)
     efl = file.view.efl  # of the specification, if the file has one
     tangent = float(file.view.radii.max()) / efl
     values = {
-        "diagonal_mm": 2 * efl * tangent,
+        "diagonal_mm": 2 * float(file.view.radii.max()),
         "field_of_view_deg": 2 * math.degrees(math.atan(tangent)),
         "f_number": efl / (2 * radius),
         "pixel_pitch_um": file.view.pixel_pitch,
         "kernel_size": file.view.kernel_size,
-        "wavelengths_um": colours,
+        "wavelengths_um": file.view.in_colours().wavelengths,
     }
     if not tangent:
         raise InputError(

@@ -30,7 +30,7 @@ class LinearLimits:
     """Violations of the limits of a lens, in the order of `constraints.violation`, and their derivatives.
 
     Args:
-        semi_diameter: (S,) radius that light uses on each surface [mm].
+        semi_diameter: (S,) illuminated radius on each surface [mm].
         chief: (5, F) image points x, y [mm] and direction cosines l, m, n of the chief rays of `view`.
 
     Attributes:
@@ -59,7 +59,7 @@ class LinearLimits:
         d_shared = torch.where(semi[front] >= semi[behind], d_semi[:, front], d_semi[:, behind])[..., None] * HEIGHTS
         rim, d_rim = semi[:, None] * HEIGHTS, d_semi[..., None] * HEIGHTS
         all_surfaces = torch.arange(len(semi))
-        # Surfaces in front of and behind each space, and the last one; flat beyond the radius that light uses.
+        # Surfaces in front of and behind each space, and the last one; flat beyond the illuminated radius.
         surfaces = torch.cat([front, behind, all_surfaces[-1:]])
         heights, d_heights = torch.cat([shared, shared, rim[-1:]]), torch.cat([d_shared, d_shared, d_rim[:, -1:]], 1)
         d_heights = torch.where(heights > semi[surfaces, None], d_semi[:, surfaces, None], d_heights)

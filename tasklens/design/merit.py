@@ -19,7 +19,7 @@ from tasklens.study.settings import Constraints
 
 # Fields as fractions of the largest, near the nine of a specification.
 FIELD_HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)
-RINGS, ARMS = 8, 6  # with 6 x 4, spots in the corner became twice as large between the rays
+RINGS, ARMS = 8, 6  # with 6 x 4, true corner spots were twice the optimised ones
 _APERTURE_RESERVE = 1.01  # clear semi-diameter / radius that the rays of the merit function use
 _LOST_RAY_UM = 300.0  # residual of a lost ray
 VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um of violation weighs as much as an RMS spot of 1 um
@@ -36,7 +36,7 @@ class Merit:
         corner_weight: weight of the corner field, geometric from 1 on the axis.
         per_mm: residual per mm of violation, or per unit of a violation without a unit [um/mm].
         angle_weight: factor on the residuals of chief ray angles.
-        rim: number of marginal rays from the top to the bottom of the pupil, which give the radii that light uses.
+        rim: number of marginal rays on half the pupil edge, for the illuminated radii.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ from tasklens.study.design_settings import DescentSettings, GradientDesignSettin
 from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens, LensDesign
 
-_APERTURE = 1.02  # clear semi-diameter / radius that light uses, of an imported lens without apertures
+_APERTURE = 1.02  # clear semi-diameter / illuminated radius, of an imported lens without apertures
 
 Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], mean or worst field, by name
 Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
@@ -105,8 +105,8 @@ def design(
         start = _prepared_start(starts[origin["start"]][0], settings.keep_apertures)
     else:
         start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
-    openings = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
-    lens, details, history, supervisor = descents.design(start, openings, criterion, problem, settings, checkpoint)
+    prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
+    lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
     repaired = repair(lens, view, plan.constraints, free)
     final_lens, notes = with_notes(*repaired, plan, origin | details, settings.keep_apertures)
     if plan.entry.supervised:
@@ -122,10 +122,10 @@ def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:
 def with_notes(
     lens: Lens, radii: Tensor, plan: LensDesign, origin: Notes, keep_apertures: bool = False
 ) -> tuple[Lens, Notes]:
-    """Return the lens and the notes for its file; unless apertures are kept, with clear apertures where it has none.
+    """Return the lens, with missing clear apertures set unless `keep_apertures`, and the notes for its file.
 
     Args:
-        radii: (S,) radii that the light uses [mm]; they become the clear apertures.
+        radii: (S,) illuminated radii [mm]; they become the clear apertures.
     """
     view = view_of_spec(plan.spec)
     margins = manufacturing_margins(lens, plan.constraints, torch.minimum(radii, lens.semi_diameter))

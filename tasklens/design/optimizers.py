@@ -36,7 +36,7 @@ class RaySpaceOptimizer:
         self.step_um = 0.0
 
     def vector(self) -> Tensor:
-        """Return the present variables (V,), to be differentiated by."""
+        """Return the current variables (V,), requiring grad."""
         return self.values.clone().requires_grad_()
 
     def lens(self, vector: Tensor) -> Lens:
@@ -44,7 +44,7 @@ class RaySpaceOptimizer:
         return self.space.lens(vector)
 
     def violation(self) -> float:
-        """Return the norm of the violation of the limits by the present lens [mm; fractions without unit]."""
+        """Return the norm of the violation of the limits by the current lens [mm; fractions without unit]."""
         return self.model.violation_norm
 
     def change(self, vector: Tensor, lens: Lens, loss: Tensor, fraction: float, pixels: float) -> Tensor:
@@ -54,7 +54,7 @@ class RaySpaceOptimizer:
             vector, lens: variables from `vector`, and the lens with them.
             loss: scalar with the gradient of the loss.
             fraction: fraction of the steps that are complete.
-            pixels: present pixel pitch [sensor pixels].
+            pixels: current pixel pitch [sensor pixels].
         """
         settings = self.settings
         (slope,) = torch.autograd.grad(loss, vector)
@@ -83,7 +83,7 @@ class RaySpaceOptimizer:
         self.mean, self.averaged = torch.zeros_like(self.mean), 0
 
     def numbers(self) -> dict[str, float]:
-        """Return numbers of the present step for the history."""
+        """Return numbers of the current step for the history."""
         return {"step_size_um": self.step_um, "violation": self.model.violation_norm}
 
     def state_dict(self) -> dict[str, Any]:
@@ -112,7 +112,7 @@ class AdamWOptimizer:
         self.penalty = 0.0
 
     def vector(self) -> Tensor:
-        """Return the present variables (V,), to be differentiated by."""
+        """Return the current variables (V,), requiring grad."""
         return torch.cat(list(self.values.values()))
 
     def lens(self, vector: Tensor) -> Lens:
@@ -121,7 +121,7 @@ class AdamWOptimizer:
 
     @torch.no_grad()
     def violation(self) -> float:
-        """Return the norm of the violation of the limits by the present lens [mm; fractions without unit]."""
+        """Return the norm of the violation of the limits by the current lens [mm; fractions without unit]."""
         return float(self._limits(self.lens(self.vector())).sqrt())
 
     def _limits(self, lens: Lens) -> Tensor:

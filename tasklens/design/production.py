@@ -1,4 +1,4 @@
-"""Simulated production of a design: lenses with errors of manufacture, focused, and measured by a classifier."""
+"""Monte Carlo tolerancing by a classifier: perturbed lenses, refocused and measured."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -55,7 +55,7 @@ class Production:
         return 100 * correct.double().mean(-1), float(losses.mean())
 
     def measure(self, lens: Lens, images: Images) -> dict[str, Any]:
-        """Measure a lens; `failed` is 1 if no light reaches some field, but the lens is measured all the same."""
+        """Measure a lens; `failed` is 1 if a field gets no light; the lens is measured anyway."""
         fields, loss = self.accuracy(lens, images)
         rays = trace_fields(lens, self.view, sobol_disc(_RAYS, seed=0))
         return {

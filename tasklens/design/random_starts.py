@@ -29,16 +29,16 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
         InputError: no lens of a block is within the limits.
     """
     surfaces = list(flat.refracting_surfaces)
-    strongest = 0.9 * limits.max_slope / float(flat.semi_diameter[flat.stop])  # slope at the height of the stop
+    steepest = 0.9 * limits.max_slope / float(flat.semi_diameter[flat.stop])  # slope at the height of the stop
     thinnest = [limits.min_centre_thickness if flat.media[i] != AIR else 2 * limits.min_air_gap for i in surfaces[:-1]]
-    low = numpy.array([-strongest] * len(surfaces) + thinnest)
-    high = numpy.array([strongest] * len(surfaces) + [_SPACES * view.efl] * len(thinnest))
+    low = numpy.array([-steepest] * len(surfaces) + thinnest)
+    high = numpy.array([steepest] * len(surfaces) + [_SPACES * view.efl] * len(thinnest))
     lenses: list[Lens] = []
     while True:
         state, count_before = rng.bit_generator.state, len(lenses)
         samples = low + (high - low) * rng.random((_BLOCK, len(low)))
-        for k in numpy.flatnonzero(_possible(samples, flat, view, limits, strongest)):
-            lens = _focused(samples[k], flat, view, limits, strongest)
+        for k in numpy.flatnonzero(_possible(samples, flat, view, limits, steepest)):
+            lens = _focused(samples[k], flat, view, limits, steepest)
             if lens is not None:
                 lenses.append(lens)
             if len(lenses) == count:
@@ -53,7 +53,7 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
             )
 
 
-def _possible(samples: ndarray, flat: Lens, view: View, limits: Constraints, strongest: float) -> ndarray:
+def _possible(samples: ndarray, flat: Lens, view: View, limits: Constraints, steepest: float) -> ndarray:
     """Return which of the lenses `samples` (T, N) have a last curvature, back focus and track within the limits.
 
     The last curvature gives the focal length to a paraxial ray of height 1.
@@ -70,13 +70,13 @@ def _possible(samples: ndarray, flat: Lens, view: View, limits: Constraints, str
     back_focus = heights[-1] * view.efl
     track = thickness[:-1].sum(0) + back_focus
     return (
-        (last.abs() <= strongest * (1 + _ROUNDING))
+        (last.abs() <= steepest * (1 + _ROUNDING))
         & (back_focus > limits.min_back_focus * (1 - _ROUNDING))
         & (track < limits.max_track * (1 + _ROUNDING))
     ).numpy()
 
 
-def _focused(sample: ndarray, flat: Lens, view: View, limits: Constraints, strongest: float) -> Lens | None:
+def _focused(sample: ndarray, flat: Lens, view: View, limits: Constraints, steepest: float) -> Lens | None:
     """Return the focused lens of sampled curvatures and thicknesses (N,); None if it is beyond the limits."""
     surfaces = list(flat.refracting_surfaces)
     curvature, thickness = flat.curvature.clone(), flat.thickness.clone()
@@ -91,6 +91,6 @@ def _focused(sample: ndarray, flat: Lens, view: View, limits: Constraints, stron
     curvature = curvature + unit * (1 / view.efl - power) / per_curvature
     bfl = paraxial(replace(lens, curvature=curvature), view.reference).bfl
     thickness = torch.cat([thickness[:-1], bfl[None]])
-    if curvature[surfaces[-1]].abs() > strongest or bfl <= limits.min_back_focus or thickness.sum() >= limits.max_track:
+    if curvature[surfaces[-1]].abs() > steepest or bfl <= limits.min_back_focus or thickness.sum() >= limits.max_track:
         return None
     return replace(lens, curvature=curvature, thickness=thickness)

@@ -12,14 +12,14 @@ from typing import Any
 from torch import nn
 
 from tasklens.design import from_lens, methods, substitution
-from tasklens.design.supervisors import Designs, Loss, Supervisors, UsersTask, supervisors
-from tasklens.materials.library import users_files
+from tasklens.design.supervisors import Designs, Loss, Supervisors, UserTask, supervisors
+from tasklens.materials.library import user_files
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import lens_files
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
-from tasklens.recognition import class_folders, users_images
+from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
@@ -111,16 +111,16 @@ def designs(
     Args:
         baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort;
             some photographs are held out for the comparison (see `unused_images`).
-        remark: is called before the design with each assumption about the lens of `start`, in words.
+        remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
     method = method or ("least_squares" if start is None else "spot")
     section, dataset = _images(images, size, held_out=bool(baselines))
-    user = Supervisors(dataset, network, None if loss is None else UsersTask(loss))
+    user = Supervisors(dataset, network, None if loss is None else UserTask(loss))
     files = [str(path) for path in materials]
     if start is not None:
         if not isinstance(start, str | Path):
             raise InputError("start: expected the path of a lens file; `tasklens.save_lens` writes one")
-        file = lens_files.read(Path(start), [*map(Path, materials), *users_files()], **spec)
+        file = lens_files.read(Path(start), [*map(Path, materials), *user_files()], **spec)
         options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
         result = from_lens.design(file, method, free, *options)
         result.notes["origin"]["start"] = str(Path(start))
@@ -175,7 +175,7 @@ def designs(
 
 
 def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
-    """Return the data of a file with a lens designed from its own, without those that keywords `changed` replace."""
+    """Return `source` with the designed lens, without data that the keywords `changed` replace."""
     if changed & {"field_of_view_deg", "object_distance_mm"}:
         source = replace(source, fields=None)
     if "wavelengths_um" in changed:
@@ -184,9 +184,9 @@ def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str
     if data.aperture is None or data.wavelengths_um is None:
         return data
     first_order = paraxial(lens, data.wavelengths_um[data.primary or 0])
-    diameter = 2 * float(first_order.entrance_pupil_radius)
     kind = data.aperture[0]
-    return replace(data, aperture=(kind, float(first_order.efl) / diameter if kind == "f_number" else diameter))
+    value = first_order.f_number if kind == "f_number" else 2 * first_order.entrance_pupil_radius
+    return replace(data, aperture=(kind, float(value)))
 
 
 def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
@@ -194,7 +194,7 @@ def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | No
     if images is None:
         return None, None
     if not isinstance(images, str | Path):
-        dataset = users_images.of_pairs(images)
+        dataset = user_images.of_pairs(images)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
     return {"folder": str(images), "size": size, "train": _train(Path(images), held_out), "minival": 2}, None
@@ -212,9 +212,9 @@ def unused_images(folder: Path, size: int) -> ImageDataset:
     if not folder.is_dir():
         raise FileError(f"{folder}: no such folder of images")
     if class_folders.is_split(folder):
-        images = users_images.of_folder(folder, class_folders.TEST, size, 0, _UNUSED)
+        images = user_images.of_folder(folder, class_folders.TEST, size, 0, _UNUSED)
     else:
-        images = users_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
+        images = user_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
     if len(images) < _LEAST:
         raise FileError(
             f"{folder}: {len(images)} photographs are left for a verdict on the lens; expected {_LEAST} or more (a "

@@ -33,10 +33,10 @@ from tasklens.study.tolerance_settings import Grade
 
 _PUPIL = (6, 12)  # rings and arms for the relative illumination, within 1e-5 for half of the published lenses
 VALIDATION = slice(48)  # images in fixed order; a batch of 8 photographs has losses from 0.1 to 2 for the same lens
-SELECTION = slice(-192, None)  # other images, if there are enough: a descent of 1000 steps fits the 48
-_ENOUGH = 1000  # images of which batches leave out those of validation and selection
+SELECTION = slice(-192, None)  # other images, if there are enough: 1000 steps overfit the 48
+_ENOUGH = 1000  # dataset size from which batches exclude the two above
 _VALIDATION_RAYS = 1024  # rays per field and colour
-_VALIDATION_BUILT = 8  # number of built lenses, if the design has a grade of manufacture
+_VALIDATION_BUILT = 8  # number of built lenses, if the design has a tolerance grade
 _VALIDATION_SEED = 9001  # added to the seed: other lenses than reported, other images than in the first steps
 
 
@@ -120,7 +120,7 @@ class Supervisor:
         augment: whether TrivialAugment is applied to the sharp images.
         micro_batch: maximum number of captures that the criterion takes at once.
         centre: centre of PSFs; at the pinhole points, errors of focal length and distortion increase the loss.
-        grade: grade of manufacture of the built lenses that are evaluated; None: the design itself is evaluated.
+        grade: tolerance grade of the built lenses that are evaluated; None: the design itself is evaluated.
         corner_weight: weight of the corner field in the mean, geometric from 1 on the axis.
     """
 

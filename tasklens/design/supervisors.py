@@ -60,7 +60,7 @@ class Designs:
         return list(self.lenses.values())[-1]
 
 
-class UsersTask(Task):
+class UserTask(Task):
     """A task defined by its loss alone: loss(answer of the network, labels)."""
 
     def __init__(self, loss: Loss):
@@ -115,7 +115,7 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     network = network.to(device)
     if user.network is not None:
         _check(network, images, user.task)
-    if isinstance(user.task, UsersTask):
+    if isinstance(user.task, UserTask):
         parts = [part for entry in entries for part in entry.descents if part.criterion == "task"]
         _check_settings(parts, user.task, network, images)
     if user.task is None:
@@ -134,7 +134,7 @@ def _classes(study: Study, user: Supervisors) -> Sequence[str]:
 
 
 def _check_settings(
-    parts: Sequence[DescentSettings], task: UsersTask, network: nn.Module, dataset: ImageDataset
+    parts: Sequence[DescentSettings], task: UserTask, network: nn.Module, dataset: ImageDataset
 ) -> None:
     """Check that a user's loss can have the settings of the descents by it; raises InputError."""
     if any(part.temperature != 1 for part in parts):

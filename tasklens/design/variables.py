@@ -49,7 +49,7 @@ class Variables:
 
     @classmethod
     def normalised(cls, lens: Lens, view: View) -> "Variables":
-        """Return variables with R = the radius that light uses on each surface of `lens`, at least that of the stop."""
+        """Return variables with R = the illuminated radius on each surface of `lens`, at least that of the stop."""
         radius = clear_semi_diameters(lens.detached(), view).clamp(min=float(lens.semi_diameter[lens.stop]))
         return cls(lens, radius, _f_number(lens, view))
 
@@ -132,7 +132,7 @@ def _f_number(lens: Lens, view: View) -> tuple[float, float] | None:
     if not stop_is_inside(lens):
         return None
     first_order = paraxial(lens.detached(), view.reference)
-    return float(first_order.efl / (2 * first_order.entrance_pupil_radius)), view.reference
+    return float(first_order.f_number), view.reference
 
 
 def parameter_groups(values: Mapping[str, Tensor], rates: LearningRates) -> list[dict[str, Any]]:

@@ -29,7 +29,7 @@ class Library:
     plastics; the built-in catalogues of the makers.
 
     Attributes:
-        remarks: choices between glasses of the same name, in words.
+        remarks: choices between glasses of the same name, as text.
     """
 
     def __init__(self, files: Sequence[Path] = (), listed: Sequence[str] = ()) -> None:
@@ -139,7 +139,7 @@ def in_zemax(catalogue: str) -> dict[str, Material]:
     return {name: material for (folder, name), material in by_name.items() if folder.upper() == catalogue}
 
 
-def users_files() -> list[Path]:
+def user_files() -> list[Path]:
     """Return the catalogues in the folder of the environment variable `TASKLENS_CATALOGUES`; raises FileError."""
     folder = os.environ.get(FOLDER)
     if not folder:

@@ -123,8 +123,8 @@ class Material:
         """Compute the refractive index at `wavelength` [um], relative to air.
 
         Raises:
-            InputError: the wavelength is outside the fitted range, or the coefficients give no index there, or one
-                below 1 (`LEAST_INDEX`: vacuum passes) or of `MOST_INDEX` and more.
+            InputError: the wavelength is outside the fitted range, or the coefficients give no index in [`LEAST_INDEX`,
+                `MOST_INDEX`) there.
         """
         if not self.covers(wavelength):
             low, high = self.range_um

@@ -38,7 +38,7 @@ class Line:
 
     @property
     def words(self) -> list[str]:
-        """The words behind the keyword."""
+        """The words after the keyword."""
         return self.text.split()
 
     def error(self, message: str) -> FileError:
@@ -46,7 +46,7 @@ class Line:
         return FileError(f"{self.where}: {self.keyword}: {message}")
 
     def number(self, index: int, unit: float = 1.0) -> float:
-        """Return word `index` behind the keyword times `unit`, a finite number; raises FileError."""
+        """Return word `index` after the keyword times `unit`, a finite number; raises FileError."""
         if index >= len(self.words):
             raise self.error(f"expected at least {index + 1} values, found {self.text!r}")
         value = unit * number(self.words[index], f"{self.where}: {self.keyword}")
@@ -55,7 +55,7 @@ class Line:
         return value
 
     def integer(self, index: int) -> int:
-        """Return word `index` behind the keyword as an integer; raises FileError."""
+        """Return word `index` after the keyword as an integer; raises FileError."""
         value = self.number(index)
         if value != int(value):
             raise self.error(f"expected an integer, found {self.words[index]!r}")

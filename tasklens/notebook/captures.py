@@ -118,7 +118,7 @@ def check_light(lens: Lens, view: View) -> None:
     """Raise InputError if no light arrives at some field."""
     if not (light := has_light(lens.detached(), view)).all():
         x, y = view.fields[int((~light).nonzero()[0])].tolist()
-        raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: clear apertures stop it; leave it out")
+        raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: all its rays are lost; omit the field")
 
 
 def check_choices(colour: str, outside_window: str = "veil", sensor: "SensorSettings | None" = None) -> None:

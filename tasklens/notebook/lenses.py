@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
-from tasklens.materials.library import Library, users_files
+from tasklens.materials.library import Library, user_files
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -49,7 +49,7 @@ def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specifi
     Example:
         >>> lens, view = tasklens.load_lens("triplet.zmx", ["SCHOTT.AGF"], pixel_pitch_um=3.0)
     """
-    files = [*_paths(catalogues), *users_files()]
+    files = [*_paths(catalogues), *user_files()]
     file = lens_files.read(Path(path), files, **specification)
     for remark in file.remarks:
         warnings.warn(f"{path}: {remark}", stacklevel=2)
@@ -99,7 +99,7 @@ def lens(
     colours = tuple(positive(value, "wavelengths_um") for value in wavelengths_um)
     if not colours:
         raise InputError("wavelengths_um: expected at least one wavelength [um]")
-    library = Library([*_paths(catalogues), *users_files()])
+    library = Library([*_paths(catalogues), *user_files()])
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
     changes = {"field_of_view_deg": field_of_view_deg, **pixels}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)

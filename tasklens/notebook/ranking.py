@@ -17,7 +17,7 @@ from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.recognition import classifiers, evaluation, users_images
+from tasklens.recognition import classifiers, evaluation, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.report import headings
@@ -94,9 +94,9 @@ def rank(
     if not isinstance(lenses, Mapping):
         raise InputError('rank: expected lenses by name, such as {"mine": tasklens.load_lens("mine.zmx")}')
     if isinstance(images, str | Path):
-        dataset = users_images.test_images(Path(images), size, limit)
+        dataset = user_images.test_images(Path(images), size, limit)
     else:
-        dataset = users_images.of_pairs(images)
+        dataset = user_images.of_pairs(images)
     if not lenses or not len(dataset):
         raise InputError("rank: expected lenses and images")
     if dataset.labels.is_floating_point() or dataset.labels.dim() != 1 or dataset.labels.min() < 0:

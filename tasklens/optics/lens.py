@@ -91,7 +91,7 @@ class Lens:
         """Return (S + 1, W) refractive indices before the lens and behind each surface, at W wavelengths [um].
 
         Raises:
-            InputError: a medium has no index at a wavelength, or one that is not finite or below 1.
+            InputError: a medium has no valid index at a wavelength (`Material.refractive_index`).
         """
         indices = torch.tensor(_indices(self.media, wavelengths), dtype=self.dtype)
         if self.melt is None:

@@ -24,7 +24,7 @@ class Rays:
     """Rays: tensors of one common shape.
 
     Attributes:
-        x, y, z: position [mm] relative to the vertex of the present surface (after `trace`: of the image plane).
+        x, y, z: position [mm] relative to the vertex of the current surface (after `trace`: of the image plane).
         l, m, n: direction cosines, l^2 + m^2 + n^2 = 1.
         path: optical path n s since the launch [mm].
         status: `RayStatus` of each ray, int8.
@@ -52,7 +52,7 @@ class Rays:
         return self.status == RayStatus.VIGNETTED
 
 
-def loss(rays: Rays, lost: Tensor) -> str:
+def describe_loss(rays: Rays, lost: Tensor) -> str:
     """Describe the surface and status of the first of the rays `lost`, to follow the word "lost" in a message."""
     surface = f"surface {int(rays.lost_at[lost][0])} (the first is 0)"
     return {
@@ -63,7 +63,7 @@ def loss(rays: Rays, lost: Tensor) -> str:
 
 
 def passing(rays: Rays) -> Tensor:
-    """Count the rays (F, W, N) that are not vignetted by field, (F,); at least one. Energies are fractions of them."""
+    """Count the unvignetted rays of each field, (F,), at least one; energies are fractions of this count."""
     return (~rays.vignetted).sum((1, 2)).clamp(min=1)
 
 

@@ -18,17 +18,17 @@ from tasklens.study.study import Study
 
 @dataclass
 class Planned:
-    """Jobs of one rule: labels of finished jobs, of missing jobs, and of jobs that run again."""
+    """Jobs of one rule: labels of finished jobs, of missing jobs, and of reruns."""
 
     done: list[str] = field(default_factory=list)
     missing: list[str] = field(default_factory=list)
-    again: list[str] = field(default_factory=list)
+    rerun: list[str] = field(default_factory=list)
     files: list[Path] = field(default_factory=list)  # existing outputs of the rule
 
     @property
     def remaining(self) -> int:
         """Number of jobs that still have to run."""
-        return len(self.missing) + len(self.again)
+        return len(self.missing) + len(self.rerun)
 
 
 def dump(jobs: Iterable[PlannedJob]) -> str:
@@ -60,7 +60,7 @@ def plan(files: Sequence[Path], target: str) -> dict[str, dict[str, Planned]]:
     plans: dict[str, dict[str, Planned]] = {}
     for job in (PlannedJob(**row) for row in rows):
         planned = plans.setdefault(whole_study_name(job.study), {}).setdefault(job.rule, Planned())
-        state = "done" if not job.remains else "again" if job.outputs else "missing"
+        state = "done" if not job.remains else "rerun" if job.outputs else "missing"
         getattr(planned, state).append(job.label)
         planned.files += map(Path, job.outputs)
     return dict(sorted(plans.items()))  # a sweep, then its points
@@ -91,7 +91,7 @@ def disk_mb(study: Study, planned: dict[str, Planned]) -> tuple[float, list[str]
         if rule == "images" and study.images.train is not None and study.images.test is not None:
             count = study.images.train + study.images.minival + study.images.test
             total += count * 3 * study.images.size**2 / 1e6
-        elif done_count := len(jobs.done) + len(jobs.again):
+        elif done_count := len(jobs.done) + len(jobs.rerun):
             total += len(jobs.missing) * sum(path.stat().st_size for path in jobs.files) / done_count / 1e6
         else:
             unknown.append(rule)

@@ -124,7 +124,7 @@ def _screened(
         tangent = half / efl
     lens_spec = {
         "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
-        "f_number": efl / float(2 * first_order.entrance_pupil_radius),
+        "f_number": float(first_order.f_number),
     }
     entry = {
         "elements": ELEMENTS,
@@ -229,16 +229,13 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
     Raises:
         InputError: the network cannot be built or read, or recognises nothing.
     """
-    from tasklens.recognition import classifiers, dataset, folders, sharp
+    from tasklens.recognition import classifiers, sharp, user_images
 
     assert images.folder is not None
-    names = class_folders.TEST if class_folders.is_split(images.folder) else (".",)
-    listing = folders.find(images.folder, names, _SHOWN, images.seed)
-    classifiers.check("network", settings, images.size, len(listing.classes))
-    network = classifiers.build(settings, listing.classes)
-    sample = folders.read_all(listing.files, images.size)
-    photographs = dataset.ImageDataset(sample, listing.labels, listing.classes)
-    return sharp.check_accuracy(classifiers.frozen(network, sample), photographs)
+    classifiers.check("network", settings, images.size, len(class_folders.training_classes(images.folder)))
+    photographs = user_images.test_images(images.folder, images.size, _SHOWN)
+    network = classifiers.build(settings, photographs.classes)
+    return sharp.check_accuracy(classifiers.frozen(network, photographs.images), photographs)
 
 
 def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrite: bool) -> Path:

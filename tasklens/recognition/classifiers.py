@@ -26,7 +26,7 @@ from tasklens.recognition.folding import fold_batch_norms
 from tasklens.runtime.devices import half_precision
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
-from tasklens.study import users_code
+from tasklens.study import user_code
 from tasklens.study.settings import ClassifierSettings
 
 _Network = TypeVar("_Network", bound=nn.Module)
@@ -223,7 +223,7 @@ def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10)
     """
     arguments = f" with {settings.arguments}" if settings.arguments else ""
     try:
-        with torch.device("cpu" if users_code.is_users(settings.model) else "meta"):
+        with torch.device("cpu" if user_code.is_users(settings.model) else "meta"):
             outputs = classes if settings.outputs == "classes" else ImageNetInfo().num_classes()
             network = networks.create(settings.model, outputs, settings.arguments).eval()
             images = torch.zeros(1, 3, size, size, requires_grad=True)

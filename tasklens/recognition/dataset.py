@@ -101,9 +101,9 @@ def _cut(images: ImageSettings, photographs: folders.Listing) -> tuple[folders.L
             f"{images.folder}: has {len(photographs)} images; test, minival and train of `images` ask for {test}, "
             f"{images.minival} and {train}"
         )
-    order = torch.arange(len(photographs))
-    ends = [test + images.minival, test, 0], [test + images.minival + train, test + images.minival, test]
-    return tuple(photographs.take(order[start:end]) for start, end in zip(*ends, strict=True))
+    order, rest = torch.arange(len(photographs)), test + images.minival
+    parts = order[rest : rest + train], order[test:rest], order[:test]
+    return tuple(map(photographs.take, parts))
 
 
 def training_images(images: ImageSettings, path: Path, *, device: torch.device = CPU) -> ImageDataset:

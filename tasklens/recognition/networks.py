@@ -6,7 +6,7 @@ import timm
 from torch import nn
 
 from tasklens.runtime.errors import InputError
-from tasklens.study import users_code
+from tasklens.study import user_code
 
 
 def create(name: str, outputs: int, arguments: dict[str, Any], pretrained: bool = False) -> nn.Module:
@@ -19,9 +19,9 @@ def create(name: str, outputs: int, arguments: dict[str, Any], pretrained: bool 
     Raises:
         InputError: there is no such function, or it does not return a module.
     """
-    if not users_code.is_users(name):
+    if not user_code.is_users(name):
         return timm.create_model(name, pretrained=pretrained, num_classes=outputs, **arguments)
-    network = users_code.load(name)(num_classes=outputs, **arguments)
+    network = user_code.load(name)(num_classes=outputs, **arguments)
     if not isinstance(network, nn.Module):
         raise InputError(f"{name}: expected a torch.nn.Module, got {type(network).__name__}")
     return network

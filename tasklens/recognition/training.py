@@ -120,7 +120,7 @@ def fit(
     if before is not None:
         check(steps, before.item())
     if not all(parameter.isfinite().all() for parameter in network.parameters()):
-        raise FloatingPointError(f"{label}: the weights stopped being finite; lower its learning_rate")
+        raise FloatingPointError(f"{label}: weights are not finite; lower its learning_rate")
     if group.is_first:
         part.finish(network=network.state_dict())
     network.eval()

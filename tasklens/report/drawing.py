@@ -12,7 +12,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.report.figures import Panel, figure_of, panel_of, save
 
-_RIM = 1.02  # radius of a surface without clear aperture, as a multiple of the radius that light uses
+_RIM = 1.02  # radius of a surface without clear aperture, as a multiple of the illuminated radius
 _COLOURS = 3  # most wavelengths that a panel can show
 
 

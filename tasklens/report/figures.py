@@ -32,7 +32,7 @@ from tasklens.runtime.files import replacing
 
 _RAYS = 4096  # per field and wavelength
 _FANS = 41
-_RIM = 1.02  # drawn radius of a surface, as a multiple of the radius that light uses
+_RIM = 1.02  # drawn radius of a surface, as a multiple of the illuminated radius
 _SHOWN = 0.95  # fraction of the rays of a spot that is drawn at least
 _DPI = 110
 _PLACES = 6  # decimals of a position in a figure
@@ -172,7 +172,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 
 
 def section_svg(lens: Lens, view: View) -> str:
-    """Return the cross-section of a lens with rays as SVG; surfaces end just beyond the radius that light uses."""
+    """Return the cross-section of a lens with rays as SVG; surfaces end just beyond the illuminated radius."""
     figure, text = Figure(figsize=(7, 4), layout="constrained"), io.StringIO()
     used = torch.minimum(lens.semi_diameter, _RIM * clear_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))

@@ -1,4 +1,4 @@
-"""Manufacturability of a lens: limits, surfaces, and sensitivity of its rays to errors of manufacture."""
+"""Manufacturability of a lens: limits, surfaces, and sensitivity of its rays to manufacturing errors."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -26,7 +26,7 @@ def markdown(
         margins: margin of each limit [mm; slopes and fractions without unit], negative if the limit is violated.
         shapes: shapes of the surfaces.
         errors_um: displacement of the core's rays by each error, at the size of its tolerance [um].
-        grade: name of the grade of manufacture.
+        grade: name of the tolerance grade.
         pixel_um: pixel pitch [um].
     """
     words = grade.replace("_", " ")

@@ -34,7 +34,7 @@ correlation of the losses with those that the merit function of {supervisor} pre
 
 
 def modulation(psf: numpy.ndarray) -> numpy.ndarray:
-    """Compute the mean modulation (N, B) of PSFs (N, W, K, K) in the bands; light that they lack is a veil."""
+    """Compute the mean modulation (N, B) of PSFs (N, W, K, K) in the bands; missing light has no contrast."""
     frequency = numpy.fft.fftfreq(psf.shape[-1])
     radius = numpy.hypot(frequency[:, None], frequency)
     mtf = abs(numpy.fft.fft2(psf)).mean(1)
@@ -129,7 +129,7 @@ def _draw(
         left.stairs(merit.weights, BANDS, label=name, linewidth=2)
         right.plot(numpy.exp(predicted[name]), numpy.exp(losses[name]), ".", label=name, alpha=0.6)
     left.set(xlabel="spatial frequency [cycles per pixel]", ylabel="weight of the modulation")
-    left.set_title("What a classifier wants")
+    left.set_title("Weights by frequency")
     _diagonal(right)
     left.legend()
     with replacing(path) as temporary:

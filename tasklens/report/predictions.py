@@ -32,4 +32,4 @@ def accuracy_by_field(correct: pandas.DataFrame) -> list[float]:
 def same_images(first: Labelled, second: Labelled, where: str) -> None:
     """Check that two tables have the same images in the same order; raises FileError."""
     if not first.index.equals(second.index):
-        raise FileError(f"{where}: not about the same test images")
+        raise FileError(f"{where}: test images differ; rerun both")

@@ -73,7 +73,7 @@ def markdown(
     parts = [
         f"# Tolerances of {title}",
         summary,
-        "## The errors that matter",
+        "## Worst offenders",
         "RMS displacement of the rays of the core by an error as large as its tolerance, refocused [um]: by "
         "derivative, and traced with this error alone; and the change of the accuracy [points], mean of both signs.",
         right_aligned(headings.texts(worst)),

@@ -68,7 +68,11 @@ def text(name: str, data: Mapping[str, Any]) -> str:
         lines.append(f"  {meaning:<36}{values[0]:>9.2f}{values[1]:>9.2f}{values[2]:>15.2f}")
     by_rms = ", ".join(f"{share:.0f} % up to {factor:g} times" for factor, share in data["yield_by_rms"].items())
     by_mtf = ", ".join(f"{share:.0f} % keep {100 * fraction:.0f} %" for fraction, share in data["yield_by_mtf"].items())
-    lines += [f"  yield by RMS spot, of the design's: {by_rms}", f"  yield by MTF, of the design's: {by_mtf}", ""]
+    lines += [
+        f"  yield by RMS spot relative to the design: {by_rms}",
+        f"  yield by MTF relative to the design: {by_mtf}",
+        "",
+    ]
     frame = pandas.DataFrame(data["errors"][:_SHOWN])
     frame["tolerance"] = frame["tolerance"].map("{:.4g}".format)
     frame["moved_um"] = frame["moved_um"].map("{:.2f}".format)

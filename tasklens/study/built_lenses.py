@@ -7,7 +7,7 @@ from tasklens.study.tolerance_settings import ToleranceSettings
 
 
 class ProductionJob(Frozen):
-    """Lenses of a design, built in simulation with errors of manufacture."""
+    """Lenses of a design, built in simulation with manufacturing errors."""
 
     lens: str
     seed: int
@@ -38,7 +38,7 @@ class BuiltContents(SeededLenses):
         lenses: names of the lenses.
         pairs: task-driven lens and imaging lens of the same elements.
         seeds: seeds of the study.
-        grade: name of the grade of manufacture.
+        grade: name of the tolerance grade.
         built, images: numbers of built lenses of each design, and of images that measure each, at most.
     """
 

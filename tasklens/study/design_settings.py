@@ -105,13 +105,13 @@ class DescentSettings(Frozen):
 
     @field_validator("pixels")
     @classmethod
-    def _ever_finer(cls, pixels: tuple[float, float]) -> tuple[float, float]:
+    def _descending(cls, pixels: tuple[float, float]) -> tuple[float, float]:
         if pixels[0] < pixels[1]:
             raise ValueError("expected a first pitch at least as coarse as the last")
         return pixels
 
     @model_validator(mode="after")
-    def _all_keys_are_read(self) -> "DescentSettings":
+    def _check_keys(self) -> "DescentSettings":
         changed = {key for key, field in type(self).model_fields.items() if getattr(self, key) != field.default}
         for optimizer, keys in OPTIMIZER_KEYS.items():
             for key in keys:
@@ -185,20 +185,20 @@ class GradientDesignSettings(Frozen):
     )
     tolerances: Grade | None = Field(
         None,
-        description="Grade of manufacture to design for: each step uses a lens built from the design with errors of "
+        description="Tolerance grade to design for: each step uses a lens built from the design with errors of "
         "its own, and focused; null: the lens as designed.",
     )
 
     @field_validator("descents")
     @classmethod
-    def _ever_fewer(cls, descents: tuple[DescentSettings, ...]) -> tuple[DescentSettings, ...]:
+    def _decreasing(cls, descents: tuple[DescentSettings, ...]) -> tuple[DescentSettings, ...]:
         for before, after in pairwise(descents):
             if after.lenses > before.lenses:
                 raise ValueError(f"lenses: expected at most {before.lenses}, as many as in the previous descent")
         return descents
 
     @model_validator(mode="after")
-    def _network_has_its_images(self) -> "GradientDesignSettings":
+    def _check_network(self) -> "GradientDesignSettings":
         if self.task is not None:
             if self.augment or any(descent.size is not None for descent in self.descents):
                 raise ValueError("task: expected no `size` and `augment: false`, since masks fit only unchanged images")

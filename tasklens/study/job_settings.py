@@ -66,7 +66,7 @@ class DiffractionJob(Frozen):
     rays: int
 
     @classmethod
-    def of(cls, study: Study, lens: str, seed: int) -> "DiffractionJob":
+    def of(cls, study: Study, lens: str) -> "DiffractionJob":
         """Return the settings of the job."""
         return cls(spec=study.lens_spec(lens), rays=study.evaluation_rays)
 
@@ -134,7 +134,7 @@ class ReproductionJob(CapturePipelineSettings):
     classifier: ClassifierSettings
 
     @classmethod
-    def of(cls, study: Study, lens: str, measured_name: str, seed: int) -> "ReproductionJob":
+    def of(cls, study: Study, lens: str, measured_name: str) -> "ReproductionJob":
         """Return the settings of the job."""
         name, restored = names.split(measured_name)
         return cls(**_pipeline(study, lens, restored), classifier=study.network(name))

@@ -22,7 +22,7 @@ class LearningRates(Frozen):
     decay: Fraction = Field(0.02, description="Ratio of learning rates of successive asphere orders (paper 3.3).")
     normalised: bool = Field(
         True,
-        description="Optimise alpha_k R^(k - 1), with R the radius that light uses on the surface of the start [mm]; "
+        description="Optimise alpha_k R^(k - 1), with R the illuminated radius on the surface of the start [mm]; "
         "false: alpha_k itself, as in the paper.",
     )
 

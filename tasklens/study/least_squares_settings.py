@@ -32,7 +32,7 @@ class LeastSquaresSettings(Frozen):
     )
 
     @model_validator(mode="after")
-    def _a_search_that_ends_early_has_no_last_stage(self) -> "LeastSquaresSettings":
+    def _check_vignetting(self) -> "LeastSquaresSettings":
         if self.spot_um is not None and self.vignetting is not None:
             raise ValueError("spot_um: not with `vignetting`, which only a whole search reaches")
         return self

@@ -1,4 +1,4 @@
-"""Parts of a study that are ready before it ends: table 1 of its first element counts, each with a page of its own."""
+"""Interim reports of a study: table 1 of its first sets of elements, each with its own page."""
 
 from tasklens.study.loading import parse, resolved
 from tasklens.study.study import Study

@@ -19,7 +19,7 @@ class RankingJob(Frozen):
         mtf: mean MTF by lens, the score of the sieve, including the lenses that it left out.
         sieved: lenses that the sieve left out.
         built: lenses that are built in simulation.
-        grade: their grade of manufacture.
+        grade: their tolerance grade.
         epochs: epochs of fine-tuning of the network on each lens.
         seed: seed of the study.
     """

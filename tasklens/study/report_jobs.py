@@ -23,7 +23,7 @@ class DrawingJob(Frozen):
     lens: str
 
     @classmethod
-    def of(cls, study: Study, lens: str, seed: int) -> "DrawingJob":
+    def of(cls, study: Study, lens: str) -> "DrawingJob":
         """Return the settings of the job."""
         return cls(lens=lens)
 

@@ -17,7 +17,7 @@ from pydantic import (
 
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.job import JOB
-from tasklens.study import users_code
+from tasklens.study import user_code
 from tasklens.study.quantities import (
     Angle,
     Batch,
@@ -142,7 +142,7 @@ class ImageSettings(Frozen):
 
     size: Whole = Field(64, ge=16, le=8192, description="Side of the square images [pixels].")
     train: Count | None = Field(None, description="Number of training images; for a folder the maximum, null: all.")
-    minival: Count = Field(500, description="Number of images for selection, taken from the training images.")
+    minival: Count = Field(500, description="Number of validation images, held out from training.")
     test: Count | None = Field(None, description="Number of test images; for a folder the maximum, null: all.")
     seed: Seed = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
     folder: Path | None = Field(None, description="Folder of photographs; null: rendered textures.")
@@ -171,7 +171,7 @@ class TrainingSettings(Frozen):
     epochs: float = Field(
         ge=0,
         le=10_000,
-        description="Passes over the training images, also fractions; 0: no training, as in a zero-shot study.",
+        description="Epochs, possibly fractional; 0: no training, as in a zero-shot study.",
     )
     learning_rate: LearningRate = Field(description="Largest learning rate, after the warm-up.")
     batch_size: Batch = Field(64, description="Images per step.")
@@ -215,16 +215,16 @@ class ClassifierSettings(Frozen):
     @property
     def code(self) -> str | None:
         """Digest of the file of a user's function."""
-        return users_code.digest(self.model)
+        return user_code.digest(self.model)
 
     @model_validator(mode="after")
     def _one_origin(self) -> "ClassifierSettings":
         if self.pretrained and self.weights:
             raise ValueError("expected either `pretrained` or `weights`, not both")
-        if self.pretrained and users_code.is_users(self.model):
+        if self.pretrained and user_code.is_users(self.model):
             raise ValueError("pretrained: only for networks of timm; your function may load weights, or `weights`")
         trained = self.pretrained or self.weights or (self.training and self.training.epochs)
-        if not trained and not users_code.is_users(self.model):  # a function may return a trained network
+        if not trained and not user_code.is_users(self.model):  # a function may return a trained network
             raise ValueError("expected `pretrained`, `weights` or `training`: an untrained network classifies nothing")
         return self
 
@@ -271,7 +271,7 @@ class CaptureSettings(Frozen):
 
     @model_validator(mode="before")
     @classmethod
-    def _light_of_a_sensor(cls, values: Any) -> Any:
+    def _default_colour(cls, values: Any) -> Any:
         """Take linear light by default with a sensor: its noise is that of light."""
         if isinstance(values, dict) and values.get("sensor") is not None and "colour" not in values:
             return values | {"colour": "linear"}

@@ -81,7 +81,7 @@ class Study(Frozen):
     restoration: RestorationSettings = Field(description="The restoration network of table 4.")
     restored: tuple[Name, ...] | None = Field(None, description="Elements in table 4; null: all.")
     tolerances: ToleranceSettings = Field(
-        ToleranceSettings(), description="Lenses built in simulation, with errors of manufacture."
+        ToleranceSettings(), description="Lenses built in simulation, with manufacturing errors."
     )
     tasks: TasksSettings = Field(
         TasksSettings(), description="Tasks other than classification: segmentation and detection of objects."

@@ -128,7 +128,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
 def starts(study: Study, lens: str) -> tuple[str, ...]:
     """Return the lenses of which the best by minival accuracy is the start of a design; empty for other designs.
 
-    The accuracy is that of the worst field, of the best imaging lens the mean over fields.
+    It is the accuracy of the worst field for listed designs, else the mean over fields.
     Imported lenses are left out, so that importing a baseline changes no other row.
     """
     entry = study.lens(lens)

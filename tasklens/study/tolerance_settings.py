@@ -1,4 +1,4 @@
-"""Settings of tolerances: grades of manufacture, and lenses built in simulation; no torch here."""
+"""Settings of tolerances: tolerance grades, and lenses built in simulation; no torch here."""
 
 from typing import Annotated, Any
 
@@ -57,7 +57,7 @@ GRADES: dict[str, dict[str, float]] = {
 
 
 class Grade(Frozen):
-    """Grade of manufacture: the largest errors, of either sign; a study may also name one of `GRADES`.
+    """Tolerance grade: the largest errors, of either sign; a study may also name one of `GRADES`.
 
     Errors are independent, and normal with half of the tolerance as standard deviation, cut at the tolerance.
     """
@@ -98,10 +98,10 @@ class Grade(Frozen):
 
 
 class ToleranceSettings(Frozen):
-    """Settings of lenses that are built in simulation with errors of manufacture, focused, and measured."""
+    """Settings of lenses that are built in simulation with manufacturing errors, focused, and measured."""
 
     grade: Grade = Field(
-        Grade.model_validate("precision_moulding"), description="Grade of manufacture: its name, or its tolerances."
+        Grade.model_validate("precision_moulding"), description="Tolerance grade: its name, or its tolerances."
     )
     lenses: Annotated[Count, Field(ge=10, le=10**6)] = Field(200, description="Number of lenses built per design.")
     images: Annotated[Count, Field(ge=10)] = Field(

@@ -1,8 +1,8 @@
-"""Lenses built in simulation, with errors of manufacture."""
+"""Lenses built in simulation, with manufacturing errors."""
 
 
 rule production:
-    """Build lenses of a design in simulation, with errors of manufacture, and measure them."""
+    """Build lenses of a design in simulation, with manufacturing errors, and measure them."""
     input:
         lens=rules.design.output.lens,
         psf=rules.design.output.psf,

@@ -105,7 +105,7 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
 
 def _of_the_lens(lens: Lens, view: View) -> dict:
     first_order = paraxial(lens, view.reference)
-    f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
+    f_number = float(first_order.f_number)
     working = abs(float(image_scale(lens, view))) * f_number
     near = {}
     if view.object_vergence:

@@ -14,7 +14,7 @@ from tasklens.optics.view import View
 def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 64) -> Tensor:
     """Compute the illuminance (F,) of fields relative to the axis, at the middle wavelength; zero for a lost field.
 
-    Of the nominal lens, without shifts and tilts.
+    Decentres and tilts are ignored.
 
     E / E0 = A / A0,  A = integral over the pupil of |d(l, m) / d(px, py)| over the valid rays
 

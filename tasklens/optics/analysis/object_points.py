@@ -59,7 +59,7 @@ def check_in_front(lens: Lens, view: View, rays: Rays) -> None:
     The surface extends to its clear aperture; without one, to the outermost of the launched rays.
 
     Raises:
-        InputError: a point of the object is in the glass or next to it.
+        InputError: an object point is not in front of the lens.
     """
     first = next(iter(lens.refracting_surfaces), 0)
     surface = lens.surfaces[first]

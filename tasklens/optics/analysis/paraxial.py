@@ -36,6 +36,11 @@ class Paraxial:
     exit_pupil_radius: Tensor
     pupil_vergence: Tensor
 
+    @property
+    def f_number(self) -> Tensor:
+        """EFL / diameter of the entrance pupil."""
+        return self.efl / (2 * self.entrance_pupil_radius)
+
 
 def vertex_curvature(lens: Lens) -> Tensor:
     """Return (S,) curvatures at the vertices, c + 2 alpha_2 [1/mm]."""

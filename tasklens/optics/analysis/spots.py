@@ -142,7 +142,7 @@ class RayFans:
 def ray_fans(lens: Lens, view: View, count: int) -> RayFans:
     """Compute fans of `count` rays: errors from the chief ray of the middle wavelength; NaN for a lost ray.
 
-    Of the nominal lens, without shifts and tilts.
+    Decentres and tilts are ignored.
     """
     lens, turned = replace(lens, pose=None), view.in_meridian()
     pupil = torch.linspace(-1, 1, count, dtype=torch.float64)

@@ -12,7 +12,7 @@ from tasklens.optics.analysis.spots import chief_rays, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import loss
+from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
 from tasklens.study.lens_entries import ImportedLens
@@ -32,7 +32,7 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
 
     Returns:
         The lens, and its origin: the file with its EFL [mm] and object distance [mm, None = infinity], the scale, the
-        shift of the image plane after scaling [mm], and assumptions made when the file was read, in words.
+        shift of the image plane after scaling [mm], and assumptions made when the file was read, as text.
 
     Raises:
         FileError: the file cannot be read, or its lens does not fit the specification.
@@ -73,11 +73,11 @@ def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
     on_axis = replace(view.in_reference(), fields=torch.zeros(1, 2, dtype=view.fields.dtype))
     beam = trace_fields(lens, on_axis, rim(64))
     if not beam.valid.all():
-        where = loss(beam, ~beam.valid)
+        where = describe_loss(beam, ~beam.valid)
         raise FileError(f"{name}: not fast enough for F/{f_number:g}: a marginal ray on the axis is lost {where}")
     chief = chief_rays(lens, view)
     if not chief.valid.all():
         field = int((~chief.valid).flatten().nonzero()[0])
         angle = math.degrees(math.atan(float(view.radii[field]) / view.efl))
-        where = loss(chief, ~chief.valid)
+        where = describe_loss(chief, ~chief.valid)
         raise FileError(f"{name}: does not cover the field: at {angle:.1f} degrees the chief ray is lost {where}")

@@ -18,7 +18,7 @@ from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.fields import largest_tangent
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import loss
+from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, positive
@@ -43,7 +43,7 @@ class LensFile:
             near object is refocused if another distance is requested.
         view: fields, wavelengths, pixels and object distance.
         content: other content of a YAML file: spec, origin, figures, margins.
-        remarks: assumptions and changes, in words.
+        remarks: assumptions and changes, as text.
     """
 
     prescription: Prescription
@@ -168,7 +168,7 @@ def write(path: Path, data: Prescription, notes: Mapping[str, Any]) -> None:
         FileError: another suffix, or a lens that the format does not support, such as one with decentres or a melt.
     """
     if data.lens.pose is not None or data.lens.melt is not None:
-        raise FileError(f"{path}: a lens file has a nominal lens: write it without `pose` and `melt`")
+        raise FileError(f"{path}: lens files hold nominal lenses; remove `pose` and `melt`")
     if path.suffix.lower() in (".yaml", ".yml"):
         own = prescription.to_dict(data)
         prescription.write(path, data, {key: value for key, value in notes.items() if key not in own})
@@ -228,7 +228,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
             view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
             remarks.append("the file has no field except the axis (--field-of-view)")
     lens, view = _changed(source.lens, view, changes)
-    f_number = efl / (2 * float(paraxial(lens, reference).entrance_pupil_radius))
+    f_number = float(paraxial(lens, reference).f_number)
     if f_number < _FASTEST:
         raise InputError(f"F/{f_number:.2g}: no lens in air is faster than F/{_FASTEST}; correct the aperture")
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
@@ -263,7 +263,7 @@ def _light_remarks(lens_file: LensFile) -> list[str]:
     on_axis = replace(view, fields=torch.zeros_like(view.fields[:1]))
     beam = trace_fields(lens_file.lens, on_axis, rim(_RIM))
     if light.all() and not beam.valid.all():
-        where = loss(beam, ~beam.valid)
+        where = describe_loss(beam, ~beam.valid)
         remarks.append(f"marginal rays on the axis are lost {where}: the F-number is that of the stop alone")
     for arrives, effect in (
         (light, "no light arrives"),
@@ -273,6 +273,6 @@ def _light_remarks(lens_file: LensFile) -> list[str]:
             angle = math.degrees(math.atan(float(view.radii[~arrives].min()) / view.efl))
             count = f"{int((~arrives).sum())} of {len(light)} fields, from {angle:.1f} degrees on"
             lost = ~chief.valid & ~arrives[:, None, None]
-            reason = f": it is lost {loss(chief, lost)}" if lost.any() else ""
+            reason = f": it is lost {describe_loss(chief, lost)}" if lost.any() else ""
             remarks.append(f"{effect} at {count}{reason}")
     return remarks

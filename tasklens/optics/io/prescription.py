@@ -37,7 +37,7 @@ class Prescription:
         wavelengths_um: wavelengths in the order of the file [um].
         primary: index of the reference wavelength.
         object_distance_mm: distance from the object, which is in focus, to the first surface [mm].
-        remarks: assumptions made when the file was read, in words.
+        remarks: assumptions made when the file was read, as text.
     """
 
     lens: Lens

@@ -34,7 +34,7 @@ def typed(
         InputError: an unknown or missing key, a value that is not a number, or not exactly one stop; names the surface.
     """
     if not surfaces:
-        raise InputError("a lens: expected at least one surface")
+        raise InputError("surfaces: expected at least one")
     rows = [_row(surface, i, last=i == len(surfaces) - 1) for i, surface in enumerate(surfaces)]
     stops = [i for i, surface in enumerate(surfaces) if surface.get("stop")]
     if len(stops) != 1:

@@ -19,7 +19,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io.prescription import FIELDS, Prescription, check_order
 from tasklens.optics.io.zemax_configurations import in_configuration
 from tasklens.optics.io.zemax_glasses import NamedGlasses
-from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_behind, check_surface, check_system
+from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_surface, check_system, check_trailer
 from tasklens.optics.io.zemax_surfaces import Block, to_lens, to_lines
 from tasklens.optics.io.zemax_system import (
     ignored_data,
@@ -148,7 +148,7 @@ def _stop(inner: list[Block], path: Path) -> int:
 
 
 def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block], list[Line]]:
-    """Split lines into system, surfaces (indented), and lines behind the surfaces.
+    """Split lines into system, surfaces (indented), and lines after the surfaces.
 
     Keys of the system are keywords, with a number for wavelengths and additional fields (WAVM 1 ..).
 
@@ -173,7 +173,7 @@ def _split(lines: list[Line], path: Path) -> tuple[dict[str, Line], list[Block],
                 blocks[-1].lines[line.keyword] = line
         else:
             if blocks:
-                check_behind(line)
+                check_trailer(line)
                 trailer.append(line)
             else:
                 check_system(line)

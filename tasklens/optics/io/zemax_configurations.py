@@ -27,7 +27,7 @@ def in_configuration(blocks: list[Block], system: Mapping[str, Line], rows: Sequ
     Args:
         blocks: lines of all surfaces.
         system: lines of the system; MNUM has the number of configurations and the one in which the file was saved.
-        rows: lines behind the surfaces: OPERAND surface configuration value ...
+        rows: lines after the surfaces: OPERAND surface configuration value ...
         number: the configuration, from 1; None for the one in which the file was saved.
 
     Returns:

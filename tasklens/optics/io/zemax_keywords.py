@@ -44,7 +44,7 @@ _NEUTRAL: dict[str, dict[int, tuple[float, str]]] = {
     "IGNR": {0: (0, _IGNORED)},
     "HIDE": {i: (0, _HIDDEN) for i in range(4, 16)},
 }
-# Data of a configuration, behind the surfaces: KEYWORD surface configuration value.
+# Data of a configuration, after the surfaces: KEYWORD surface configuration value.
 _CONFIGURATION: dict[str, tuple[float, str]] = {
     "IGNR": (0, _IGNORED),
     "IGNM": (0, _IGNORED),
@@ -89,8 +89,8 @@ def check_configuration(line: Line) -> None:
             raise line.error(f"{message}; found {line.text!r}")
 
 
-def check_behind(line: Line) -> None:
-    """Check that a line behind the surfaces does not belong to one; raises FileError."""
+def check_trailer(line: Line) -> None:
+    """Check that a line after the surfaces does not belong to one; raises FileError."""
     if line.keyword in SURFACE | _APERTURES | {"OBDC", "SCBD", "HIDE"}:
         raise line.error("belongs to a surface: indent it below its line SURF")
 

@@ -36,7 +36,7 @@ class Block:
         return self.lines[keyword]
 
     def number(self, keyword: str, default: float) -> float:
-        """Return the first number behind `keyword`, or `default`."""
+        """Return the first number after `keyword`, or `default`."""
         return self.lines[keyword].number(0) if keyword in self.lines else default
 
 
@@ -50,7 +50,7 @@ def to_lens(blocks: list[Block], stop: int, unit: float, library: Library) -> tu
         library: glasses by name.
 
     Returns:
-        The lens, and the assumptions about its glasses, in words.
+        The lens, and the assumptions about its glasses, as text.
 
     Raises:
         FileError: an invalid or unsupported surface.

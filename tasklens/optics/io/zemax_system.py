@@ -88,7 +88,8 @@ def read_fields(system: Mapping[str, Line], unit: float, path: Path) -> tuple[st
             point = extra.number(1, scale), extra.number(2, scale)
             if i <= per_line and point != points[i - 1]:
                 raise extra.error(f"differs from field {i} in {x.keyword} and {y.keyword}; save the file again")
-            points[i - 1 :] = [point] if i > per_line else points[i - 1 :]
+            if i > per_line:
+                points.append(point)
     return FIELDS[kind], tuple(points)
 
 

@@ -19,7 +19,7 @@ from tasklens.study.tolerance_settings import Grade
 _FRINGE_MM = 0.6328e-3 / 2  # height of a fringe in reflection
 _TEST_DIAMETER_MM = 25.0  # diameter over which fringes are counted
 _QUANTILE = math.erf(math.sqrt(2))  # of a normal variable within two standard deviations
-# Standard deviation of an error divided by its tolerance: 1/2 for a normal variable truncated at two deviations.
+# Standard deviation of an error / its tolerance, 0.44: a normal variable of deviation 1/2, truncated at two deviations.
 DEVIATION = 0.5 * math.sqrt(1 - 4 * math.exp(-2) / (math.sqrt(2 * math.pi) * _QUANTILE))
 
 # Form errors that do not move the vertex, in rho = r / semi-diameter: Zernike's spherical aberrations of fourth and
@@ -68,7 +68,7 @@ def elements(lens: Lens) -> list[tuple[int, int]]:
 
 
 def errors(lens: Lens, grade: Grade) -> list[Error]:
-    """List the errors that a grade of manufacture allows, without errors of zero tolerance."""
+    """List the errors that a tolerance grade allows, without errors of zero tolerance."""
     result: list[Error] = []
 
     def add(kind: str, surface: int, tolerance: float, unit: str, scale: float, parts: Sequence[str] = ("",)) -> None:

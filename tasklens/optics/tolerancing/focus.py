@@ -30,7 +30,7 @@ def peak(lens: Lens, view: View) -> Tensor:
     It is the vertex of a parabola fitted to the planes around the best one, and differentiable in the lens.
     """
     first_order = paraxial(lens.detached(), view.reference)
-    f_number = float(first_order.efl / (2 * first_order.entrance_pupil_radius))
+    f_number = float(first_order.f_number)
     f_stop = 2 ** (round(2 * math.log2(f_number)) / 2)  # to full stops, so that planes do not move with the lens
     step = _STEP * f_stop / frequency(view)
     steps = max(_STEPS, math.ceil(_RANGE * view.efl / step))

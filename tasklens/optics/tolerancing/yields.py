@@ -21,7 +21,7 @@ from tasklens.study.tolerance_settings import Grade
 
 KEPT_MTF = 0.8  # fraction of the design's MTF that a good lens keeps
 _RAYS = 512  # per field and colour
-_RIM = 1.02  # clear aperture of a surface without one, divided by the radius that light uses
+_RIM = 1.02  # clear aperture of a surface without one, divided by the illuminated radius
 
 
 @dataclass(frozen=True)

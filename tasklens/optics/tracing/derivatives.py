@@ -206,7 +206,7 @@ def forward(
 def _retrace(tape, block, size, start, colours, lens, parks, distances):
     """Trace the rays again: fill the blocks of all surfaces, and one for the rays behind the last surface.
 
-    Behind the surface `parks[i]` ray i of the block is on the axis; -1: from the start.
+    Ray i is moved to the axis after surface `parks[i]`; -1: at the start.
     """
     surfaces, polynomials, indices, posed, rotations, positions = lens
     load(tape[0], start, block, size)

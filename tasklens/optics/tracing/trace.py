@@ -16,8 +16,8 @@ _OUTPUTS = (0, 1, 3, 4, 5, 6)  # rows of the image without z, which is zero
 _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `Inputs`
 
 
-class _Notes:
-    """Inputs of a `_Trace` without derivatives, and the trace that it saves for the other derivatives."""
+class _Saved:
+    """Non-differentiable inputs of a `_Trace`, and its result for `backward` and `jvp`."""
 
     def __init__(self, semi_diameter: Tensor, status: Tensor, lost_at: Tensor, record: bool):
         self.inputs = (semi_diameter, status, lost_at, record)
@@ -99,7 +99,7 @@ def _traced(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays
     size = numpy.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))  # torch.broadcast_shapes takes 20 times as long
     components = (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     start = torch.stack([v if v.shape == size else v.expand(size) for v in components]).to(lens.dtype)
-    notes = _Notes(lens.semi_diameter, rays.status, rays.lost_at, record)
+    notes = _Saved(lens.semi_diameter, rays.status, rays.lost_at, record)
     x, y, l, m, n, path = _Trace.apply(notes, *_inputs(lens, start, indices))
     traced = notes.traced
     status, lost_at = traced.of_rays(traced.status), traced.of_rays(traced.lost_at)

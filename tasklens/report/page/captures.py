@@ -24,7 +24,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Tile:
-    """A capture at a field: data link, text alternative, field, answers."""
+    """A capture at a field: data URI, text alternative, field, answers."""
 
     link: str
     alternative: str

@@ -24,15 +24,15 @@ _PICTURES = {
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry of the gallery; pictures and files are data links by name.
+    """An entry of the gallery; pictures and files are data URIs by name.
 
     Attributes:
         lens: name of the lens.
         elements: name of its elements.
         by_task: whether a classifier designed it.
         facts: short facts (name, value), the most important first.
-        pictures: (data link, text alternative) by name.
-        files: (file name, data link) of downloads.
+        pictures: (data URI, text alternative) by name.
+        files: (file name, data URI) of downloads.
         margins: (limit, margin, whether it is violated).
         manufacturability: paragraphs of the certificate.
         certificate: text of the whole certificate.

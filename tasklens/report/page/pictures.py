@@ -1,4 +1,4 @@
-"""Pictures and files inside the page, as data links."""
+"""Pictures and files inside the page, as data URIs."""
 
 import base64
 import io
@@ -19,12 +19,12 @@ _QUALITY = 82  # of WebP
 
 
 def link(path: Path) -> str:
-    """Return a file as a data link."""
+    """Return a file as a data URI."""
     return _data(_TYPES[path.suffix], path.read_bytes())
 
 
 def of_array(image: numpy.ndarray) -> str:
-    """Return an image (3, H, W) of uint8 as a data link."""
+    """Return an image (3, H, W) of uint8 as a data URI."""
     buffer = io.BytesIO()
     Image.fromarray(numpy.ascontiguousarray(image.transpose(1, 2, 0))).save(buffer, "webp", quality=_QUALITY)
     return _data("image/webp", buffer.getvalue())
@@ -35,5 +35,5 @@ def _data(kind: str, content: bytes) -> str:
 
 
 def of_text(text: str, suffix: str = ".yaml") -> str:
-    """Return a text as a data link; its suffix says whether it is YAML or SVG."""
+    """Return a text as a data URI; its suffix says whether it is YAML or SVG."""
     return _data(_TYPES[suffix], text.encode())
