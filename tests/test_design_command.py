@@ -140,8 +140,8 @@ MISTAKES = [
     ),
     (("--method", "task"), "method task: needs a network: --classifier NAME --weights FILE, in Python `classifier`"),
     (("--method", "end_to_end"), "method end_to_end: needs a network: --classifier NAME --weights FILE"),
-    (TASK, "--classifier test_resnet: expected its --weights FILE, or --pretrained"),
-    ((*TASK, "--weights", "absent.pth"), "absent.pth: no such file of weights"),
+    (TASK, "--classifier test_resnet: give one of --weights FILE, --pretrained"),
+    ((*TASK, "--weights", "absent.pth"), "--weights absent.pth: no such file"),
     (
         (*TASK, "--weights", "words.pth", "--images", "absent"),
         "absent: no such folder of images",

@@ -64,7 +64,7 @@ def test_a_loss_that_is_not_finite_ends_the_training(bad, monkeypatch, tmp_path)
 def test_weights_that_are_not_finite_in_the_end_are_no_result():
     network = small_network(0)
     network[0].weight.register_hook(lambda gradient: gradient * torch.nan)
-    with pytest.raises(FloatingPointError, match="weights stopped being finite"):
+    with pytest.raises(FloatingPointError, match="weights are not finite"):
         settings = TrainingSettings(epochs=1, learning_rate=1e-2, batch_size=60)
         training.fit(network, random_images(60, 16, 3, seed=1), settings, 0, "test")
 
