@@ -152,7 +152,7 @@ MISTAKES = [
     ),
     (
         ("--method", "task", "--classifier", "resnt", "--weights", "words.pth"),
-        "classifiers.network: resnt: Unknown model",
+        "--classifier resnt: Unknown model (resnt); did you mean resnet",
     ),
     (
         (*TASK, "--method", "joint", "--weights", "words.pth", "--set", "start=[image_quality,spot]"),

@@ -93,6 +93,14 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Rays
     return margins
 
 
+def all_margins(
+    lens: Lens, limits: Constraints, view: View, semi_diameter: Tensor, chief: Rays | None = None
+) -> dict[str, Tensor]:
+    """Compute the margins of all limits at clear apertures `semi_diameter` (S,) [mm]; `chief` defaults to a trace."""
+    chief = chief_rays(lens, view) if chief is None else chief
+    return manufacturing_margins(lens, limits, semi_diameter) | first_order_margins(lens, limits, view, chief)
+
+
 def chief_ray_angle(l: Tensor, m: Tensor, n: Tensor) -> Tensor:
     """Compute the angle of rays with the axis [rad]."""
     return torch.atan2(torch.hypot(l, m), n)
@@ -117,9 +125,7 @@ def corner_view(view: View) -> View:
 def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
     """Sum the squared violations of all limits, for gradient descent."""
     semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
-    margins = manufacturing_margins(lens, limits, semi_diameter)
-    margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
-    return violation(margins).square().sum()
+    return violation(all_margins(lens, limits, view, semi_diameter)).square().sum()
 
 
 def incidence_penalty(lens: Lens, view: View, largest_deg: float) -> Tensor:

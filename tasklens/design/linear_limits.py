@@ -12,9 +12,8 @@ from torch import Tensor
 
 from tasklens.design.constraints import (
     HEIGHTS,
+    all_margins,
     chief_ray_angle,
-    first_order_margins,
-    manufacturing_margins,
     spaces,
     violation,
 )
@@ -41,8 +40,8 @@ class LinearLimits:
     def __init__(self, lens: Lens, limits: Constraints, view: View, semi_diameter: Tensor, chief: Tensor):
         self.lens, self.view, self.chief = lens, view, chief
         x, y, *direction = chief[..., None, None]
-        margins = manufacturing_margins(lens, limits, semi_diameter)
-        margins |= first_order_margins(lens, limits, view, launch(x, y, torch.zeros_like(x), *direction))
+        rays = launch(x, y, torch.zeros_like(x), *direction)
+        margins = all_margins(lens, limits, view, semi_diameter, rays)
         self.values = violation(margins)
         self.angles = margins["chief_ray_angle"].numel() if "chief_ray_angle" in margins else 0
         smallest = float(lens.semi_diameter[lens.stop])

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.design import descents, least_squares
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.constraints import all_margins, worst_margin
 from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
@@ -18,7 +18,7 @@ from tasklens.design.start import flat
 from tasklens.design.variables import with_coefficients
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
+from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
 from tasklens.optics.io import imported
 from tasklens.optics.lens import Lens
@@ -128,8 +128,7 @@ def with_notes(
         radii: (S,) illuminated radii [mm]; they become the clear apertures.
     """
     view = view_of_spec(plan.spec)
-    margins = manufacturing_margins(lens, plan.constraints, torch.minimum(radii, lens.semi_diameter))
-    margins |= first_order_margins(lens, plan.constraints, view, chief_rays(lens, view))
+    margins = all_margins(lens, plan.constraints, view, torch.minimum(radii, lens.semi_diameter))
     name, value = worst_margin(margins)
     lens = lens if keep_apertures else with_clear_apertures(lens, radii)
     notes = {

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, worst_margin
+from tasklens.design.constraints import all_margins, worst_margin
 from tasklens.design.merit import Merit
 from tasklens.design.variables import Free, Variables
-from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
@@ -123,9 +122,7 @@ def repair(lens: Lens, view: View, limits: Constraints, free: Free | None = None
     """
     targets, radii = limits, Merit(view, limits, rim=MARGINAL_RAYS).clear_semi_diameters(lens)
     for attempt in range(_REPAIRS):
-        margins = manufacturing_margins(lens, limits, torch.minimum(radii, lens.semi_diameter))
-        margins |= first_order_margins(lens, limits, view, chief_rays(lens, view))
-        limit, margin = worst_margin(margins)
+        limit, margin = worst_margin(all_margins(lens, limits, view, torch.minimum(radii, lens.semi_diameter)))
         if margin >= 0 or (attempt and limit != "distortion"):  # kept, or beyond repair
             break
         if attempt:
