@@ -250,10 +250,8 @@ def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
 
 def _field(view: "View", name: str) -> tuple[float, float]:
     """Return the point [mm] of a field by its name, or from X,Y inside the largest field; raises InputError."""
-    order = view.radii.argsort().tolist()
-    indices = {"axis": order[0], "middle": order[len(order) // 2], "corner": order[-1]}
-    if name in indices:
-        x, y = view.fields[indices[name]].tolist()
+    if name in view.named_fields:
+        x, y = view.fields[view.named_fields[name]].tolist()
         return x, y
     try:
         x, y = (float(word) for word in name.split(","))

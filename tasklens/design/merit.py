@@ -1,7 +1,6 @@
 """Merit function of damped least squares: two residuals per ray and one per limit, with derivatives."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from typing import Literal
 
 import torch
@@ -50,8 +49,7 @@ class Merit:
         rim: int = 3,
     ):
         heights = torch.tensor(FIELD_HEIGHTS, dtype=torch.float64)
-        fields = torch.stack([torch.zeros_like(heights), view.radii.max() * heights], -1)
-        self.view, self.limits = replace(view, fields=fields), limits
+        self.view, self.limits = view.along_y(view.radii.max() * heights), limits
         self.reference = reference
         pupil, self.weight = gauss_quadrature(RINGS, ARMS)
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)

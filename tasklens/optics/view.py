@@ -81,9 +81,19 @@ class View:
         green = self.reference if self.reference in between or not between else between[len(between) // 2]
         return replace(self, wavelengths=(ordered[0], green, ordered[-1]))
 
+    def along_y(self, radii: Tensor) -> "View":
+        """Return the view with fields at `radii` (F,) [mm] along +y."""
+        return replace(self, fields=torch.stack([torch.zeros_like(radii), radii], -1))
+
     def in_meridian(self) -> "View":
         """Return the view with every field rotated onto +y, equivalent for a rotationally symmetric lens."""
-        return replace(self, fields=torch.stack([torch.zeros_like(self.radii), self.radii], -1))
+        return self.along_y(self.radii)
+
+    @property
+    def named_fields(self) -> dict[str, int]:
+        """Indices of the fields nearest to the axis, in the middle, and in the corner."""
+        order = self.radii.argsort(stable=True).tolist()
+        return {"axis": order[0], "middle": order[len(order) // 2], "corner": order[-1]}
 
     def in_all_quadrants(self) -> "View":
         """Return the view with all fields mirrored about both axes, without duplicates, for lenses without symmetry."""

@@ -1,6 +1,6 @@
 """Figures of a lens along its field, from the axis to the corner."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -40,7 +40,7 @@ class AlongField:
 def along_field(lens: Lens, view: View) -> AlongField:
     """Compute the figures of a lens along its field."""
     heights = torch.linspace(0, 1, _FIELDS, dtype=view.fields.dtype) * view.radii.max()
-    view = replace(view, fields=torch.stack([torch.zeros_like(heights), heights], -1))
+    view = view.along_y(heights)
     chief = chief_rays(lens, view)
     arrives = chief.valid[:, 0, 0]
     points = torch.cat([chief.x[:, 0], chief.y[:, 0]], -1)

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -73,7 +72,7 @@ def _rays(axes: Axes, lens: Lens, view: View, field_names: Mapping[int, str]) ->
     """Draw a fan of rays for each field, turned into the plane of the drawing."""
     vertices = lens.vertices
     radius = view.radii[list(field_names)]
-    along_y = replace(view.in_reference(), fields=torch.stack([torch.zeros_like(radius), radius], -1))
+    along_y = view.in_reference().along_y(radius)
     fan = torch.stack([torch.zeros(_RAYS), torch.linspace(-_PUPIL, _PUPIL, _RAYS)], -1).double()
     start = launch_fields(lens, along_y, fan)
     image, surface_rays = trace_full(lens, start, lens.refractive_indices(along_y.wavelengths))

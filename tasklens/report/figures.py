@@ -82,9 +82,8 @@ class Panel:
 
 def shown_fields(view: View) -> dict[int, str]:
     """Return the names by index of the fields nearest to the axis, in the middle, and in the corner."""
-    order = view.radii.argsort(stable=True).tolist()
-    names = {order[0]: "axis", order[len(order) // 2]: "middle", order[-1]: "corner"}
-    return names | {order[0]: "axis"}
+    names = view.named_fields
+    return {field: name for name, field in names.items()} | {names["axis"]: "axis"}
 
 
 def panel(title: str, path: Path, psf: Path) -> Panel:

@@ -67,7 +67,7 @@ class _FieldMap:
         self.fields = self.heights / self.image_scale
         farthest = radius / self.image_scale * (1.25 if distortion else 1)
         trial_fields = torch.linspace(0, farthest, 2 * _RADII, dtype=torch.float64)
-        chief = chief_rays(lens, along_y(view, trial_fields))
+        chief = chief_rays(lens, view.along_y(trial_fields))
         image_heights = chief.y[:, 0, 0]
         rising = chief.valid[:, 0, 0] & (torch.diff(image_heights, prepend=image_heights[:1] - 1) > 0)
         count = int(rising.int().cumprod(0).sum())
@@ -95,11 +95,6 @@ def interpolate(x: Tensor, knots: Tensor, values: Tensor) -> Tensor:
     upper = torch.searchsorted(knots.detach(), x.detach().contiguous()).clamp(1, len(knots) - 1)
     low, high = knots[upper - 1], knots[upper]
     return torch.lerp(values[upper - 1], values[upper], ((x - low) / (high - low)).clamp(0, 1))
-
-
-def along_y(view: View, radius: Tensor) -> View:
-    """Return the view with fields at `radius` (F,) [mm] along +y."""
-    return replace(view, fields=torch.stack([torch.zeros_like(radius), radius], -1))
 
 
 def trace_sensor_psfs(
@@ -154,7 +149,7 @@ def trace_sensor_psfs(
             scale = field_map.image_scale * field_map.scale(radius)
             source = (unit * (1e3 / pixel_pitch) * scale[..., None]).float()
         if illumination:
-            values = relative_illumination(lens.detached(), along_y(view, field_map.fields.detach()))
+            values = relative_illumination(lens.detached(), view.along_y(field_map.fields.detach()))
             brightness = field_map.at(radius, values).float()
     return SensorPsfs(shape, y, x, torch.stack(core), None if negligible else halos, _HALO_PIXEL, source, brightness)
 
@@ -178,7 +173,7 @@ def _core_and_halo(lens: Lens, view: View, pupil: Tensor, pitch: float, halo_siz
 def _nodes(lens: Lens, view: View, half: list[float], pitch: float, field_map: _FieldMap) -> list[Tensor]:
     """Return the distances of the nodes from the centre [pixels], along y and along x."""
     radius = field_map.heights * (1e3 / pitch)
-    radial = along_y(view, field_map.fields.detach())
+    radial = view.along_y(field_map.fields.detach())
     rays, chief = trace_fields(lens.detached(), radial, sobol_disc(256, seed=0)), chief_rays(lens.detached(), radial)
     offset = torch.stack([rays.x - chief.x, rays.y - chief.y], -1) * (1e3 / pitch)
     between = radius.diff()
