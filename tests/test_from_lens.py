@@ -9,10 +9,10 @@ from examples import cooke_triplet, f64
 import tasklens
 from tasklens.cli.app import main
 from tasklens.design import from_lens, substitution
-from tasklens.design.constraints import BUFFER, first_order_margins, manufacturing_margins, spaces
+from tasklens.design.constraints import BUFFER, all_margins, manufacturing_margins, spaces
 from tasklens.design.ray_space import RaySpace
 from tasklens.optics.analysis.datasheet import figures
-from tasklens.optics.analysis.spots import OUTLINE, chief_rays, clear_semi_diameters
+from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.io import lens_files, zemax
 from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.io.prescription import Prescription
@@ -98,8 +98,7 @@ def test_limits_give_way_to_the_lens(triplet):
     """Limits of a phone lens, scaled to 50 mm; a violated one gives way to the lens's own value, a given one stays."""
     limits, remark = from_lens.own_limits(triplet.lens, triplet.view, Constraints(), set())
     clear = clear_semi_diameters(triplet.lens, triplet.view, OUTLINE)
-    margins = manufacturing_margins(triplet.lens, limits, clear)
-    margins |= first_order_margins(triplet.lens, limits, triplet.view, chief_rays(triplet.lens, triplet.view))
+    margins = all_margins(triplet.lens, limits, triplet.view, clear)
     assert min(float(margin.min()) for margin in margins.values()) > 0
     assert limits.max_track == pytest.approx(4.4 * triplet.view.efl / 2.921, rel=1e-3)
     assert limits.min_centre_thickness == pytest.approx(0.99997 - BUFFER, abs=1e-9) and "min_centre" in remark
@@ -107,6 +106,27 @@ def test_limits_give_way_to_the_lens(triplet):
         triplet.lens, triplet.view, Constraints(min_centre_thickness=2.0), {"min_centre_thickness"}
     )
     assert kept.min_centre_thickness == 2.0
+
+
+def test_surfaces_may_touch_but_not_cross(triplet):
+    """Here the cover glass and the sensor."""
+
+    def limits(distance: float) -> Constraints:
+        thickness = triplet.lens.thickness.clone()
+        thickness[-1] = distance
+        lens = replace(triplet.lens, thickness=thickness)
+        return from_lens.own_limits(lens, triplet.view, Constraints(), set())[0]
+
+    for distance in (0.0, 0.005):
+        assert limits(distance).min_back_focus == pytest.approx(distance - BUFFER, abs=1e-9)
+    with pytest.raises(InputError, match=r"min_back_focus: -0\.2 mm within the light, so surfaces cross"):
+        limits(-0.2)
+
+
+def test_a_start_without_light_is_refused(triplet):
+    semi = triplet.lens.semi_diameter.index_fill(0, torch.tensor(0), 1e-3)
+    with pytest.raises(InputError, match=r"no light arrives at \d of 9 fields; correct the lens"):
+        improve(replace(triplet, lens=replace(triplet.lens, semi_diameter=semi)), "spot")
 
 
 def test_a_stop_between_elements_bounds_no_space():

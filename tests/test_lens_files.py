@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
-from examples import cooke_triplet, f64
+from examples import cooke_triplet, f64, make_lens
 
 import tasklens
 from tasklens.optics.analysis.spots import chief_rays
@@ -101,6 +101,15 @@ def test_what_no_lens_can_have_is_refused(tmp_path):
     semi[cooke_triplet().stop] = 60.0
     with pytest.raises(FileError, match=r"F/0.3\d: no lens in air is faster than F/0.5"):
         save(tmp_path, lens=cooke_triplet(semi_diameter=semi))
+
+
+def test_a_slow_relay_with_a_large_pupil_is_read(tmp_path):
+    """Almost telecentric: its beam is slow, although the entrance pupil is larger than the focal length."""
+    lens = make_lens([0.02, -0.02, 0.0], [4.0, 47.0, 55.0], ("COC", "air", "air"), stop=2)
+    lens.semi_diameter[2] = 6.0
+    near = {"object_distance_mm": 94.0, "fields": ("object_height_mm", ((0.0, 0.0), (0.0, 1.0)))}
+    view = save(tmp_path, lens=lens, **near).view
+    assert view.object_vergence == pytest.approx(1 / 94)
 
 
 def test_a_lens_whose_only_field_is_the_axis(tmp_path):

@@ -7,7 +7,7 @@ import torch
 from designs import LIMITS, VIEW
 from examples import f64, random_lens
 
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, violation
+from tasklens.design.constraints import all_margins, violation
 from tasklens.design.linear_limits import LinearLimits
 from tasklens.optics.rays import launch
 
@@ -23,9 +23,7 @@ STRICT = LIMITS.model_copy(
 def autograd_violations(lens, semi_diameter, chief) -> torch.Tensor:
     x, y, l, m, n = chief[..., None, None]
     rays = launch(x, y, torch.zeros_like(x), l, m, n)
-    margins = manufacturing_margins(lens, STRICT, semi_diameter)
-    margins |= first_order_margins(lens, STRICT, VIEW, rays)
-    return violation(margins)
+    return violation(all_margins(lens, STRICT, VIEW, semi_diameter, rays))
 
 
 def example(seed: int) -> tuple:

@@ -197,7 +197,8 @@ def test_numbers_that_yaml_takes_for_text_are_numbers():
         ({"coefficients": 3}, ["list", "3"]),
         ({"range_um": [0.8, 0.4]}, ["rising", "0.8"]),
         ({"range_um": [0.4]}, ["two wavelengths"]),
-        ({"sauce": "x"}, ["keys", "sauce"]),
+        ({"sauce": "x"}, ["keys", "'sauce' is unknown"]),
+        ({"range_um": [334, 2325]}, ["range_um", "seem to be nm"]),
     ],
 )
 def test_a_wrong_definition_is_refused_with_the_reason(change, words):
@@ -219,6 +220,8 @@ def test_unknown_plastic_and_wavelength_outside_the_fit_raise():
     for wavelength in (0.3, 1.1):
         with pytest.raises(ValueError, match=rf"PC.*{wavelength}.*0\.365 to 1\.014"):
             builtin("PC").refractive_index(wavelength)
+    with pytest.raises(ValueError, match="wavelengths are in um, such as"):
+        builtin("PC").refractive_index(587.6)
     with pytest.raises(ValueError, match=r"odd.*0\.5"):
         Material("odd", "schott", (-1, 0, 0, 0, 0, 0), (0.4, 0.8)).refractive_index(0.5)
 

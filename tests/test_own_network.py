@@ -164,6 +164,11 @@ def test_wrong_pairs_are_refused(network):
             tasklens.design_lens("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)
 
 
+def test_a_network_of_one_output_is_refused(images):
+    with pytest.raises(InputError, match="the network has one output"):
+        check_accuracy(lambda batch: batch.mean((1, 2, 3))[:, None], images)
+
+
 def test_few_images_cannot_tell_a_network_from_guessing(images):
     two = images.take(torch.arange(2))
     with pytest.raises(InputError, match=r"of 2 sharp images \(guessing: 33.3%\): too few images to tell"):

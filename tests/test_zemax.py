@@ -223,7 +223,7 @@ def test_data_of_the_file_that_are_ignored_are_remarks(tmp_path):
     factors, weights = read_lens(tmp_path, edit(*changes)).remarks
     assert factors.startswith("vignetting factors are ignored") and weights.startswith("weights of wavelengths")
     (stop,) = read_lens(tmp_path, edit(('DIAM 0.55 0 0 0 1 ""', "CLAP 0 0.3 0"))).remarks
-    assert stop.startswith("ENPD 1.2 needs a stop of radius 0.5")
+    assert stop == "clear aperture of the stop, 0.3 mm: smaller than ENPD gives, 0.5201 mm"
 
 
 CONFIGURATIONS = """THIC 2 1 0.3 0 0 0 1 1 1 0 0

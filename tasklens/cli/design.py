@@ -26,8 +26,8 @@ from tasklens.runtime.errors import InputError
 
 _SPEC = "Specification (with --start: overrides of the file)"
 _METHOD = (
-    "Design method: least_squares, spot (the default with --start), image_quality, image_error, correlation; with a "
-    "network: task, joint, end_to_end. [default: least_squares]"
+    "Design method: least_squares (the default), spot (the default with --start), image_quality, image_error, "
+    "correlation; with a network: task, joint, end_to_end."
 )
 _ELEMENTS = "COC,OKP4"
 _START = "Start from a lens file"

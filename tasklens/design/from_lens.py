@@ -29,6 +29,7 @@ from tasklens.study.messages import in_words, problems
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
+_TOUCHING = 1e-6  # mm; surfaces in contact do not cross
 _LENGTHS = (  # limits that are lengths
     "min_centre_thickness",
     "max_centre_thickness",
@@ -202,9 +203,10 @@ def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str
         deficit = BUFFER * buffer_scale(name) - float(margin.min()) if margin.numel() else 0.0
         if deficit > 0 and name not in fixed_names and name in Constraints.model_fields:
             own_values[name] = getattr(limits, name) + (-deficit if name.startswith("min_") else deficit)
-            if name.startswith("min_") and own_values[name] < 0:
+            own = getattr(limits, name) + float(margin.min())
+            if name.startswith("min_") and own < -_TOUCHING:
                 raise InputError(
-                    f"{name}: {own_values[name]:.3g} mm within the light, so surfaces cross; give a larger "
+                    f"{name}: {own:.3g} mm within the light, so surfaces cross; give a larger "
                     "--f-number or a smaller --field-of-view"
                 )
             if margin.min() < 0:  # otherwise only the buffer of designs is missing

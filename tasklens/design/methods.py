@@ -108,7 +108,8 @@ def design(
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
     lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
     repaired = repair(lens, view, plan.constraints, free)
-    final_lens, notes = with_notes(*repaired, plan, origin | details, settings.keep_apertures)
+    keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none
+    final_lens, notes = with_notes(*repaired, plan, origin | details, keep_apertures)
     if plan.entry.supervised:
         notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
     return final_lens, notes, history

@@ -30,6 +30,7 @@ from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # largest number of photographs from a folder
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
+_NOT_KEYWORDS = ("method", "elements", "baselines", "remark", "spec")  # of `designs`, no keywords of `design_lens`
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
@@ -75,7 +76,7 @@ def design_lens(
     Raises:
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
-    own = {*inspect.signature(designs).parameters} - {"method", "elements", "baselines", "remark", "spec"}
+    own = [key for key in inspect.signature(designs).parameters if key not in _NOT_KEYWORDS]
     keywords = dict.fromkeys([*own, *Spec.model_fields, "configuration", "object_distance_mm"])
     if unknown := [key for key in settings if key not in keywords]:
         raise InputError(f"{unknown[0]}: unknown keyword{suggestion(unknown[0], keywords)}")

@@ -31,6 +31,8 @@ def check_accuracy(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -
         correct.append(logits.argmax(-1) == labels)
     accuracy, chance, count = float(torch.cat(correct).double().mean()), 1 / outputs, len(dataset)
     text = f"the network recognises {accuracy:.1%} of {count} sharp images (guessing: {chance:.1%})"
+    if outputs < 2:
+        raise InputError("the network has one output; expected one for each of at least two classes")
     margin = _DEVIATIONS * math.sqrt(chance * (1 - chance) / count)
     if chance + margin >= 1:
         raise InputError(f"{text}: too few images to tell it from guessing; give more")

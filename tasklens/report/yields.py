@@ -1,4 +1,4 @@
-"""Losses of a lens in manufacture, for a terminal: yields, the errors that matter, and tolerances for a drawing."""
+"""Losses of a lens in manufacture, for a terminal: yields, the worst offenders, and tolerances for a drawing."""
 
 from collections.abc import Mapping
 from typing import Any

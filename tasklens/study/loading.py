@@ -128,7 +128,7 @@ def file_of(name: str, *folders: Path) -> Path:
     """Return the file of a study: NAME.yaml, or a config.yaml with this name, in `folders`, `config` or `SHIPPED`.
 
     Raises:
-        StudyError: there is no such study; the message lists all names.
+        StudyError: there is no such study; the message has the nearest name, or all.
     """
     places = dict.fromkeys((*folders, Path("config"), SHIPPED))
     for folder in places:

@@ -11,6 +11,7 @@ from pydantic import ValidationError
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_object, check_stop, rim
 from tasklens.optics.analysis.spots import chief_rays, has_light, trace_fields
@@ -97,13 +98,22 @@ def read(
         else:
             check_stop(source.lens)
             lens_file = derived(source, changes, wavelengths, 1 / distance)
-        if lens_file.view.object_vergence:
-            check_object(lens_file.lens, lens_file.view)
+        _check_aperture(lens_file.lens, lens_file.view)
         return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *_light_remarks(lens_file)))
     except FileError:
         raise
     except InputError as error:
         raise FileError(f"{path}: {error}") from None
+
+
+def _check_aperture(lens: Lens, view: View) -> None:
+    """Raise InputError if a near object is in the lens, or if the beam on the axis is faster than physics allows."""
+    if view.object_vergence:
+        check_object(lens, view)
+    scale = float(image_scale(lens, view)) if view.object_vergence else 1.0
+    f_number = abs(scale * float(paraxial(lens, view.reference).f_number))
+    if f_number < _FASTEST:
+        raise InputError(f"F/{f_number:.2g}: no lens in air is faster than F/{_FASTEST}; correct the aperture")
 
 
 def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
@@ -228,9 +238,6 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
             view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
             remarks.append("the file has no field except the axis (--field-of-view)")
     lens, view = _changed(source.lens, view, changes)
-    f_number = float(paraxial(lens, reference).f_number)
-    if f_number < _FASTEST:
-        raise InputError(f"F/{f_number:.2g}: no lens in air is faster than F/{_FASTEST}; correct the aperture")
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
         pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")

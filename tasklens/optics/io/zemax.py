@@ -34,6 +34,7 @@ from tasklens.runtime.files import FileError, replacing
 
 _WAVELENGTHS = 24  # the maximum in Zemax
 _ROUNDING = 1e-6  # relative rounding of radii in files
+_SMALLER = 1e-3  # relative difference of radii that is worth a remark
 
 
 def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
@@ -106,10 +107,10 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
     clear = float(semi_diameter[lens.stop])
     follows_light = "FLAP" in inner[lens.stop].lines  # a floating aperture
     if not follows_light and clear < radius * (1 - _ROUNDING):
-        remarks.append(
-            f"{line.keyword} {line.text} needs a stop of radius {radius:.4g} mm; its clear aperture of "
-            f"{clear:.4g} mm is used"
-        )
+        if clear < radius * (1 - _SMALLER):
+            remarks.append(
+                f"clear aperture of the stop, {clear:.4g} mm: smaller than {line.keyword} gives, {radius:.4g} mm"
+            )
         radius, aperture = clear, None
     if not 0 < radius < math.inf:
         raise line.error(f"the computed radius of the stop is {radius} mm, expected a positive number")
