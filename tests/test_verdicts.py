@@ -267,7 +267,7 @@ def test_other_images_are_refused():
     write_results(study, by_design())
     path = predictions(study, "doublet-imaging1")
     pandas.read_csv(path).iloc[::-1].to_csv(path, index=False)
-    with pytest.raises(FileError, match=r"doublet-imaging1.*same test images"):
+    with pytest.raises(FileError, match=r"doublet-imaging1.*test images differ"):
         collect(study)
 
 
