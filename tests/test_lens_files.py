@@ -13,6 +13,7 @@ from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.io import lens_files, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
 HEIGHTS = ((0.0, 0.0), (0.0, 18.2))
@@ -101,6 +102,9 @@ def test_what_no_lens_can_have_is_refused(tmp_path):
     semi[cooke_triplet().stop] = 60.0
     with pytest.raises(FileError, match=r"F/0.3\d: no lens in air is faster than F/0.5"):
         save(tmp_path, lens=cooke_triplet(semi_diameter=semi))
+    surfaces = [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}]
+    with pytest.raises(InputError, match=r"F/0\.4: no lens in air"):
+        tasklens.lens(surfaces, field_of_view_deg=4, f_number=0.4)
 
 
 def test_a_slow_relay_with_a_large_pupil_is_read(tmp_path):

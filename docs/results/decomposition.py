@@ -140,7 +140,7 @@ def _range(
     return {"lowest": min(differences), "highest": max(differences)}
 
 
-def draw(table: pandas.DataFrame, path: Path) -> None:
+def draw(table: pandas.DataFrame, path: Path, headings: Mapping[str, str]) -> None:
     """Draw the difference of each step as a point with its interval: filled for all fields, open without the corner."""
     table = table.drop_duplicates([key for key in _KEYS if key != "compared_with"])  # the first comparison of each step
     panels = list(table.groupby(["study", "elements", "classifier"], sort=False))
@@ -163,7 +163,7 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
                     axis.text(1.01, y, f"{row['accuracy']:.1f}", transform=axis.get_yaxis_transform(), va="center")
             axis.axvline(0, color="black", linewidth=1)
             first = part.iloc[0]
-            title = f"{ANSWER.get(study, study)}\n{elements} ({first['step']} {first['accuracy']:.1f})"
+            title = f"{headings.get(study, study)}\n{elements} ({first['step']} {first['accuracy']:.1f})"
             axis.set_title(title, fontsize="medium", loc="left")
             axis.spines[["top", "right"]].set_visible(False)
         axes[0, 0].set_yticks(range(len(steps)), steps)
@@ -204,9 +204,9 @@ def main() -> int:
     table.to_csv(FOLDER / "decomposition.csv", index=False)
     supervisors = table.groupby("study")["classifier"].transform("first")  # table 1 comes first
     table = table[table["classifier"] == supervisors]
-    draw(table, FOLDER / "decomposition.svg")
+    draw(table, FOLDER / "decomposition.svg", {})
     if set(ANSWER) <= set(options.studies):
-        draw(table[table["study"].isin(ANSWER)], FOLDER / "answer.svg")
+        draw(table[table["study"].isin(ANSWER)], FOLDER / "answer.svg", ANSWER)
     return 0
 
 

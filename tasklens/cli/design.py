@@ -132,7 +132,6 @@ def design(
         network = network_settings(classifier, weights, pretrained, outputs, argument)
     specified: dict[str, Any] = {key: value for key, value in spec.items() if value is not None}
     method_settings, constraint_settings = nested(settings or (), "--set"), nested(limits or (), "--limit")
-    from tasklens import notebook
     from tasklens.design import single
     from tasklens.optics.io import lens_files
     from tasklens.report import glance
@@ -158,15 +157,12 @@ def design(
             remark=lambda text: say(f"{start}: {text}"),
             **specified,
         )
-    lens, view, notes = result.lens, result.view, result.notes
+    lens, notes = result.lens, result.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
     if dark:
         hint = "take fewer steps, or smaller ones" if start is not None else "try another --seed"
         raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: {hint}")
-    if result.prescription is None:
-        notebook.save_lens(output, lens, view, notes)
-    else:
-        lens_files.write(output, result.prescription, notes)
+    lens_files.write(output, result.prescription, notes)
     say_catalogue(output, lens.media)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:

@@ -250,8 +250,8 @@ def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
 
 def _field(view: "View", name: str) -> tuple[float, float]:
     """Return the point [mm] of a field by its name, or from X,Y inside the largest field; raises InputError."""
-    if name in view.named_fields:
-        x, y = view.fields[view.named_fields[name]].tolist()
+    if (field := view.named_fields.get(name)) is not None:
+        x, y = view.fields[field].tolist()
         return x, y
     try:
         x, y = (float(word) for word in name.split(","))

@@ -2,6 +2,7 @@
 
 import math
 import tempfile
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -61,7 +62,7 @@ def design(
     seed: int,
     user: Supervisors = OF_STUDY,
     baselines: Sequence[str] = (),
-    remark: Callable[[str], None] = print,
+    remark: Callable[[str], None] = warnings.warn,
 ) -> Designs:
     """Improve a lens by a method.
 
@@ -78,7 +79,7 @@ def design(
         remark: callback for each assumption about the lens, as text, before the design.
 
     Returns:
-        All lenses, from the start to the result of the method.
+        All lenses, from the start to the result of the method; the prescription is that of the start.
 
     Raises:
         InputError: the object is at a finite distance, there are not three wavelengths, no light arrives at a field,
@@ -137,7 +138,7 @@ def design(
                 {},
                 task=supervision.task if entry.classified else None,
             )
-    return Designs(lenses, view, notes, supervision)
+    return Designs(lenses, view, notes, supervision, file.prescription)
 
 
 def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:

@@ -104,7 +104,7 @@ def designs(
     start: str | Path | None = None,
     free: Mapping[str, Sequence[int] | None] | None = None,
     baselines: Sequence[str] = (),
-    remark: Callable[[str], None] = print,
+    remark: Callable[[str], None] = warnings.warn,
     **spec: Any,
 ) -> Designs:
     """Design one lens, its starting lenses, and the baselines that it is compared with.
@@ -172,7 +172,9 @@ def designs(
             )
     if spots:
         notes["origin"]["materials_tried_rms_um"] = spots
-    return Designs({study.lens(name).design_name: lens for name, lens in lenses.items()}, view, notes, supervision)
+    named = {study.lens(name).design_name: lens for name, lens in lenses.items()}
+    prescription = with_system_data(Prescription(lenses[name]), view)
+    return Designs(named, view, notes, supervision, prescription)
 
 
 def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:

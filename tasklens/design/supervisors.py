@@ -45,14 +45,14 @@ class Designs:
     Attributes:
         notes: notes for its file.
         supervisors: images and network of the design.
-        prescription: the lens with the other data of the file from which the design started; None without a file.
+        prescription: the lens with the data of its file; those of `start` stay.
     """
 
     lenses: Mapping[str, Lens]
     view: View
     notes: dict[str, Any]
     supervisors: Supervisors
-    prescription: Prescription | None = None
+    prescription: Prescription
 
     @property
     def lens(self) -> Lens:

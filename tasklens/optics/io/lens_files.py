@@ -98,7 +98,6 @@ def read(
         else:
             check_stop(source.lens)
             lens_file = derived(source, changes, wavelengths, 1 / distance)
-        _check_aperture(lens_file.lens, lens_file.view)
         return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *_light_remarks(lens_file)))
     except FileError:
         raise
@@ -189,7 +188,7 @@ def write(path: Path, data: Prescription, notes: Mapping[str, Any]) -> None:
 
 
 def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, View]:
-    """Return the lens and its view with changed values of `Spec`; the focal length stays."""
+    """Return the lens and its view with changed values of `Spec`; the focal length stays; raises InputError."""
     if "field_of_view_deg" in changes:
         fields = view.fields if view.radii.any() else torch.tensor(Spec().fields_mm, dtype=torch.float64)
         corner = view.efl * math.tan(math.radians(changes["field_of_view_deg"]) / 2)
@@ -203,6 +202,7 @@ def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, 
         radius = zemax.stop_radius(lens, ("f_number", changes["f_number"]), view.reference)
         at_stop = torch.arange(len(lens.media)) == lens.stop
         lens = replace(lens, semi_diameter=torch.where(at_stop, radius, lens.semi_diameter))
+    _check_aperture(lens, view)
     return lens, view
 
 
