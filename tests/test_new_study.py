@@ -1,0 +1,218 @@
+"""`tasklens study new` as a user types it: its study files, their limits of time and its error messages."""
+
+from pathlib import Path
+
+import pytest
+import timm
+import torch
+import yaml
+from examples import tiny_study, write
+from PIL import Image
+from safetensors.torch import save_file
+from study_command import complaint, study
+from typer.testing import CliRunner
+
+from tasklens.cli.app import app
+from tasklens.pipeline import new_study
+from tasklens.pipeline.digest import SNAKEFILE
+from tasklens.study.loading import load, parse
+
+ROOT = Path(__file__).parents[1]
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_new_study_follows_its_options(place, capsys):
+    """Options alone make a study file that loads; the command prints the next step."""
+    options = "--networks vit,resnet --elements singlet,mine=COC+OKP4 --f-number 2.2 --field-of-view 50 --seeds 2"
+    assert study("new", "wide", *options.split(), "--minutes", "600", "--yes") == 0
+    config = load("wide.yaml")
+    assert (config.name, config.supervisor, list(config.classifiers)) == ("wide", "vit", ["vit", "resnet"])
+    assert config.elements == {"singlet": ("COC",), "mine": ("COC", "OKP4")}
+    assert (config.spec.f_number, config.spec.field_of_view_deg, config.seeds) == (2.2, 50.0, (0, 1))
+    out = capsys.readouterr().out
+    assert out.startswith("wide.yaml: all four tables, about ")
+    assert f"snakemake -j2 tables -s {SNAKEFILE} --configfile wide.yaml" in out  # it is not in this folder
+    text = (place / "wide.yaml").read_text()
+    assert out.splitlines()[0].partition("about ")[2] in text and text.count("\n# ") > 8
+
+
+def test_a_new_study_asks_for_what_was_not_given(place):
+    """An empty answer takes the default; the command does not ask about values given as options."""
+    answers = ["", "", "triplet", "3.5", "", "1", "45"]
+    result = CliRunner().invoke(app, ["study", "new", "asked"], input="\n".join(answers) + "\n")
+    assert result.exit_code == 0, result.output
+    config = load("asked.yaml")
+    assert (
+        list(config.elements) == ["triplet"] and config.spec.f_number == 3.5 and list(config.classifiers) == ["resnet"]
+    )
+    assert config.images.folder is None and config.seeds == (0,)
+    result = CliRunner().invoke(app, ["study", "new", "b", "--seeds", "1", "--f-number", "4"], input=6 * "\n")
+    assert result.exit_code == 0 and "Seeds" not in result.output and "F-number" not in result.output
+
+
+@pytest.mark.slow
+def test_less_time_gives_a_smaller_study(place):
+    """Each shorter time gives fewer jobs or images."""
+    sizes = []
+    for minutes in ("600", "8", "5", "3"):
+        assert study("new", "a", "--yes", "--force", "--minutes", minutes) == 0
+        config = load("a.yaml")
+        sizes.append((len(config.tables), len(config.designs), config.images.train))
+    assert sizes == sorted(sizes, reverse=True) and len(set(sizes)) >= 3
+
+
+@pytest.mark.slow
+def test_a_new_study_of_photographs(place):
+    """The network starts from published weights, and the images have its size."""
+    for path in (f"photos/{s}/{c}/{k}.jpg" for s in ("train", "test") for c in ("cat", "dog") for k in range(400)):
+        write(path, "")
+    assert study("new", "mine", "--yes", "--images", "photos", "--networks", "resnet18", "--minutes", "9999") == 0
+    config = load("mine.yaml")
+    assert str(config.images.folder) == "photos" and config.images.size == 224
+    assert config.images.minival == 160  # a fifth of 800
+    assert config.classifiers["resnet18"].model == "resnet18" and config.classifiers["resnet18"].pretrained
+    # It has the steps of the photographs study; each costs as much as twelve of the default study's.
+    published = yaml.safe_load((ROOT / "config/photographs.yaml").read_text())
+    assert config.designs["tasklens"].descents[-1].steps == published["designs"]["tasklens"]["descents"][-1]["steps"]
+    write("mine.safetensors", "")
+    options = ["--networks", "resnet18.a1_in1k", "--weights", "mine.safetensors", "--minutes", "9999", "--force"]
+    assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
+    classifier = load("mine.yaml").classifiers["resnet18_a1_in1k"]
+    assert (classifier.model, str(classifier.weights), classifier.pretrained) == (
+        "resnet18.a1_in1k",
+        "mine.safetensors",
+        False,
+    )
+    assert classifier.training is None and classifier.outputs == "classes"  # it is used as it is
+    options += ["--outputs", "imagenet", "--argument", "drop_rate=0.1"]
+    assert study("new", "mine", "--yes", "--images", "photos", *options) == 0
+    classifier = load("mine.yaml").classifiers["resnet18_a1_in1k"]
+    assert classifier.outputs == "imagenet" and classifier.arguments == {"drop_rate": 0.1}
+
+
+def test_a_check_of_networks_reads_their_weights(place, capsys):
+    """The check loads the weights as the first job would, and so refuses weights of another network."""
+    torch.manual_seed(0)
+    save_file(timm.create_model("test_resnet", num_classes=10).state_dict(), "mine.safetensors")
+    classifiers = {"small": {"model": "test_resnet", "weights": "mine.safetensors"}}
+    write("mine.yaml", yaml.safe_dump(tiny_study() | {"classifiers": classifiers}))
+    assert study("check", "mine.yaml", "--networks") == 0
+    save_file(timm.create_model("test_resnet", num_classes=7).state_dict(), "mine.safetensors")
+    assert study("check", "mine.yaml") == 0 and study("check", "mine.yaml", "--networks") == 2
+    assert "no weights for test_resnet with 10 outputs" in capsys.readouterr().err
+
+
+def test_a_new_study_of_a_folder_without_splits(place):
+    """A fifth of the photographs tests, a fifth of the others selects; check accepts the study."""
+    for name in ("cat", "dog"):
+        (place / "pets" / name).mkdir(parents=True)
+        for k in range(25):
+            Image.new("RGB", (8, 8), (5 * k, 0, 0)).save(place / "pets" / name / f"{k}.png")
+    assert study("new", "pets", "--images", "pets", "--networks", "resnet", "--minutes", "600", "--yes") == 0
+    images = load("pets.yaml").images
+    assert (images.test, images.minival, images.train) == (10, 8, None)
+    assert study("check", "pets.yaml", "--no-weights") == 0
+
+
+def test_the_least_study_of_photographs_has_fewer_of_them(place):
+    """A quarter of 400 - 80 training and 100 test images, as its forecast says."""
+    for path in (f"photos/{s}/{c}/{k}.jpg" for s, n in (("train", 200), ("test", 50)) for c in "ab" for k in range(n)):
+        write(path, "")
+    request = new_study.StudyRequest(
+        "mine", Path("photos"), 64, ("resnet",), {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1
+    )
+    sizes = [new_study.content(request, cut)["images"] for cut in new_study.CUTS[-2:]]
+    assert "train" not in sizes[0] and (sizes[1]["train"], sizes[1]["test"]) == (80, 25)
+
+
+def test_a_forecast_is_that_of_the_machine_of_the_file(place):
+    """Benchmarks in the current folder do not count; a network is no supervisor because its name begins alike."""
+
+    def seconds(*networks: str) -> float:
+        request = new_study.StudyRequest("mine", None, 64, networks, {"doublet": ["COC", "OKP4"]}, 2.8, 68.8, 1)
+        return new_study.seconds(parse(new_study.content(request, new_study.CUTS[0])), 2)
+
+    before = seconds("resnet", "vit")
+    write("benchmarks/design/a.tsv", "s\tmax_rss\n99999\t1\n")
+    assert seconds("resnet", "vit") == before == seconds("resnet", "resnet18")
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ("--images nowhere", "images.folder = nowhere: no such folder"),
+        ("--size 4", "images.size = 4"),
+        ("--seeds 0", "seeds"),
+        ("--f-number 0", "spec.f_number = 0.0"),
+        ("--field-of-view 200", "spec.field_of_view_deg = 200.0"),
+        ("--elements foo", "--elements: unknown 'foo'; expected one of singlet, doublet"),
+        (
+            "--elements mine=COC+WOOD",
+            "elements.mine: unknown glass 'WOOD' in the built-in plastics",
+        ),
+        ("--networks ,", "--networks: expected names"),
+        ("--networks resnet19", "classifiers.resnet19"),
+        ("--networks resnet18 --weights nowhere.pth", "--weights nowhere.pth: no such file"),
+        (f"--weights {__file__}", "--weights: only for a network from timm; resnet is trained on the images"),
+        ("--minutes 0.01", "--minutes 0.01: the smallest study of this kind takes about"),
+    ],
+)
+def test_an_impossible_option_is_reported(place, capsys, options, words):
+    assert words in complaint(capsys, "new", "wrong", "--yes", *options.split())
+    assert list(place.iterdir()) == []
+
+
+def test_an_invalid_name_is_refused(capsys):
+    assert "name = 'My study'" in complaint(capsys, "new", "My study", "--yes")
+
+
+@pytest.mark.parametrize("command", [["new", "a", "--yes"], ["plan", "a.yaml"]])
+def test_zero_cores_are_refused(capsys, command):
+    assert study(*command, "--cores", "0") == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_a_new_study_overwrites_nothing(place, capsys):
+    """The command overwrites a file only on request."""
+    write("a.yaml", "mine")
+    assert "--force" in complaint(capsys, "new", "a", "--yes")
+    assert (place / "a.yaml").read_text() == "mine"
+    assert study("new", "a", "--yes", "--output", "b.yaml") == 0 and load("b.yaml").name == "a"
+    assert study("new", "a", "--yes", "--force") == 0 and load("a.yaml").name == "a"
+
+
+def test_a_new_study_takes_a_network_of_three_classes(place, monkeypatch):
+    """The head of a user's own network has the classes of the folder."""
+    for path in (f"photos/{split}/{label}/{k}.jpg" for split in ("train", "test") for label in "abc" for k in range(9)):
+        write(path, "")
+    write(
+        "three_classes.py",
+        "from torch import nn\n"
+        "def net(num_classes): return nn.Sequential(nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(3, 3))\n",
+    )
+    monkeypatch.syspath_prepend(place)
+    networks, elements = ("three_classes:net",), {"singlet": ["COC"]}
+    weights = place / "any.safetensors"
+    request = new_study.StudyRequest("mine", Path("photos"), 64, networks, elements, 2.8, 68.8, 1, weights)
+    new_study.check(request, new_study.CUTS[-1])
+
+
+def test_a_new_study_that_does_not_fit_leaves_the_old_file(place, capsys, monkeypatch):
+    write("a.yaml", "mine")
+    monkeypatch.setattr(new_study, "fit", lambda *_: (new_study.CUTS[-1], 1.0))  # a forecast that is too short
+    assert "allow more time" in complaint(capsys, "new", "a", "--yes", "--force", "--minutes", "0.01")
+    assert (place / "a.yaml").read_text() == "mine"
+
+
+def test_without_the_repository_a_new_study_says_so(place, monkeypatch, capsys):
+    """As from an installed wheel, in which all other commands work."""
+    monkeypatch.setattr(new_study, "DEFAULT", place / "config.yaml")
+    new_study.default_study.cache_clear()
+    assert study("new", "mine", "--yes") == 2
+    assert "the workflow is not installed: clone the repository" in capsys.readouterr().err
+    new_study.default_study.cache_clear()
