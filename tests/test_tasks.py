@@ -147,8 +147,9 @@ def test_numbers_of_the_table(tmp_path):
              "value": value + gain * tuned, "tuned": tuned}
             for (tuned, field), value in values.items()
         ]  # fmt: skip
-        paths["doublet-d", "z", seed] = tmp_path / f"{seed}.csv"
-        pandas.DataFrame(rows).to_csv(paths["doublet-d", "z", seed], index=False)
+        path = tmp_path / f"{seed}.csv"
+        pandas.DataFrame(rows).to_csv(path, index=False)
+        paths[task_jobs.TaskKey("doublet-d", "z", seed)] = path
     (row,) = report_tasks.collect(paths).to_dict("records")
     assert (row["frozen"], row["tuned"], row["worst_field"], row["seeds"]) == (25.0, 50.0, 45.0, 2)
 

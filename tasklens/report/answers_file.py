@@ -15,29 +15,28 @@ import pandas
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import damaged, replacing
 from tasklens.study.claims import Claims
-
-_Key = tuple[str, str, int]  # lens, measured name, seed
+from tasklens.study.tables import LensKey, MeasuredKey
 
 
 @dataclass(frozen=True, kw_only=True)
 class PackedMeasurements(Measurements):
     """Measurements from one file: correct answers, minival accuracy and chance by key, and light by lens and seed."""
 
-    answers: Mapping[_Key, pandas.DataFrame]
-    accuracies: Mapping[_Key, Mapping[str, float]]
-    energy: Mapping[tuple[str, int], float]
+    answers: Mapping[MeasuredKey, pandas.DataFrame]
+    accuracies: Mapping[MeasuredKey, Mapping[str, float]]
+    energy: Mapping[LensKey, float]
 
     def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Return predictions: 1 if an image is classified correctly, else 0; a row per image, a column per field."""
-        return self.answers[lens, classifier, seed]
+        return self.answers[MeasuredKey(lens, classifier, seed)]
 
     def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
         """Return minival accuracy and chance [%]."""
-        return dict(self.accuracies[lens, classifier, seed])
+        return dict(self.accuracies[MeasuredKey(lens, classifier, seed)])
 
     def lens_values(self, lens: str, seed: int) -> dict[str, float]:
         """Return the share of light inside the PSF window."""
-        return {"energy_in_window": self.energy[lens, seed]}
+        return {"energy_in_window": self.energy[LensKey(lens, seed)]}
 
 
 def write(path: Path, claims: Claims, measurements: Measurements) -> None:

@@ -8,6 +8,7 @@ import pandas
 from tasklens.report.publish import publish
 from tasklens.runtime import benchmarks as benchmark_files
 from tasklens.study.effort import Efforts
+from tasklens.study.tables import LensKey
 
 _NOTE = """\
 Study `{study}`. Lens evaluations are the steps of descents, or the evaluations of least squares, which are fewer if it
@@ -33,7 +34,7 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
     """
     by_key = dict(zip(efforts.lens_keys, map(core_minutes, benchmarks), strict=True))
     minutes = {
-        effort.lens: pandas.Series([by_key[effort.lens, seed] for seed in efforts.seeds]).median()
+        effort.lens: pandas.Series([by_key[LensKey(effort.lens, seed)] for seed in efforts.seeds]).median()
         for effort in efforts.efforts
     }
     rows = []

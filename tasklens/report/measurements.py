@@ -12,6 +12,7 @@ from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
 from tasklens.report import predictions
 from tasklens.runtime.files import damaged, read_table, read_yaml
 from tasklens.study.claims import Claim, Claims
+from tasklens.study.tables import LensKey, MeasuredKey
 
 FIELD = "accuracy_field"  # beginning of the columns of accuracy by field, from 0 on the axis to 8 in the corner
 
@@ -36,12 +37,12 @@ def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
 
 @dataclass(frozen=True)
 class Measurements:
-    """Files of lenses by (lens, seed); of metrics, predictions and frozen losses by (lens, measured name, seed)."""
+    """Files of lenses, of metrics, predictions and frozen losses."""
 
-    lenses: Mapping[tuple[str, int], Path]
-    metrics: Mapping[tuple[str, str, int], Path]
-    predictions: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
-    frozen: Mapping[tuple[str, str, int], Path] = field(default_factory=dict)
+    lenses: Mapping[LensKey, Path]
+    metrics: Mapping[MeasuredKey, Path]
+    predictions: Mapping[MeasuredKey, Path] = field(default_factory=dict)
+    frozen: Mapping[MeasuredKey, Path] = field(default_factory=dict)
 
     @classmethod
     def of_claims(
@@ -56,8 +57,8 @@ class Measurements:
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
         """Read the content of a lens file; raises FileError if its figures are of another prescription."""
-        content = read_yaml(self.lenses[lens, seed])
-        lens_digest.check(content, self.lenses[lens, seed])
+        content = read_yaml(self.lenses[LensKey(lens, seed)])
+        lens_digest.check(content, self.lenses[LensKey(lens, seed)])
         return content
 
     def lens_values(self, lens: str, seed: int) -> dict[str, float]:
@@ -66,16 +67,16 @@ class Measurements:
 
     def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
         """Return each metric, mean over fields."""
-        return mean_metrics(self.metrics[lens, classifier, seed])
+        return mean_metrics(self.metrics[MeasuredKey(lens, classifier, seed)])
 
     def accuracy_by_field(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
         """Return the accuracy [%] at each field by the name of its column in tables by seed."""
-        values = accuracy_by_field(self.metrics[lens, classifier, seed])
+        values = accuracy_by_field(self.metrics[MeasuredKey(lens, classifier, seed)])
         return {f"{FIELD}{k}": value for k, value in enumerate(values)}
 
     def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Read predictions: 1 if an image is classified correctly, else 0; a row per image, a column per field."""
-        return predictions.read(self.predictions[lens, classifier, seed])
+        return predictions.read(self.predictions[MeasuredKey(lens, classifier, seed)])
 
     def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
         """Return the loss of the frozen classifier for each minival image, mean over fields."""
@@ -87,7 +88,7 @@ class Measurements:
 
     def _frozen(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Read the losses of the frozen classifier: a row per minival image, a column per field; raises FileError."""
-        path = self.frozen[lens, classifier, seed]
+        path = self.frozen[MeasuredKey(lens, classifier, seed)]
         frame = read_table(path, dtype={"label": str}, keep_default_na=False)
         try:
             losses = frame.set_index(["image", "label"]).astype(float)

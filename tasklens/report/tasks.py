@@ -8,7 +8,7 @@ import pandas
 from tasklens.report import figures
 from tasklens.report.publish import publish
 from tasklens.runtime.files import read_table
-from tasklens.study.task_jobs import TaskContents
+from tasklens.study.task_jobs import TaskContents, TaskKey
 
 _NOTE = """\
 Study `{study}`. Scores [%] on test images with objects, means over fields and seeds. `miou`: mean intersection over
@@ -17,13 +17,13 @@ union of classes and background. `box_ap` and `mask_ap`: COCO's average precisio
 images come first."""
 
 
-def collect(metrics: Mapping[tuple[str, str, int], Path]) -> pandas.DataFrame:
+def collect(metrics: Mapping[TaskKey, Path]) -> pandas.DataFrame:
     """Return a row per task, score and lens: means over fields and seeds, the worst field, and the number of seeds.
 
     Args:
-        metrics: files of scores by (lens, task, seed).
+        metrics: files of scores.
     """
-    frames = [read_table(path, keep_default_na=False).assign(lens=lens) for (lens, _, _), path in metrics.items()]
+    frames = [read_table(path, keep_default_na=False).assign(lens=key.lens) for key, path in metrics.items()]
     table = pandas.concat(frames, ignore_index=True)
     rows = []
     for (task, metric, _), scores in table.groupby(["task", "metric", "lens"], sort=False):

@@ -13,6 +13,7 @@ from tasklens.report.tolerance_page import distribution
 from tasklens.report.verdicts import FAILS, HOLDS, verdict
 from tasklens.runtime.files import read_table, write_text
 from tasklens.study.built_lenses import BuiltContents
+from tasklens.study.tables import LensKey
 
 _NOTE = """\
 Study `{study}`, {grade}: {built} built lenses of each design and seed, focused by their MTF and measured by the
@@ -31,7 +32,7 @@ not resampled."""
 _ANSWERS = {HOLDS: "tolerates less", FAILS: "tolerates more"}
 
 
-def collect(lenses: Mapping[tuple[str, int], Path]) -> pandas.DataFrame:
+def collect(lenses: Mapping[LensKey, Path]) -> pandas.DataFrame:
     """Return a row per lens: `tolerance_page.distribution`, mean over seeds; sums of failures and of built lenses.
 
     Args:
@@ -49,9 +50,7 @@ def collect(lenses: Mapping[tuple[str, int], Path]) -> pandas.DataFrame:
     return pandas.DataFrame(table)
 
 
-def compare(
-    lenses: Mapping[tuple[str, int], Path], pairs: Sequence[tuple[str, str]], seeds: Sequence[int]
-) -> pandas.DataFrame:
+def compare(lenses: Mapping[LensKey, Path], pairs: Sequence[tuple[str, str]], seeds: Sequence[int]) -> pandas.DataFrame:
     """Compare the losses in manufacture of lenses with those of their baselines.
 
     Args:
@@ -65,7 +64,7 @@ def compare(
     for lens, baseline in pairs:
         by_seed = []
         for seed in seeds:
-            losses = [_lost(lenses[name, seed]) for name in (lens, baseline)]
+            losses = [_lost(lenses[LensKey(name, seed)]) for name in (lens, baseline)]
             by_seed.append(losses[0] - losses[1])
         columns = numpy.stack(
             [resampled_means(values[:, None], seed=2 + k)[:, 0] for k, values in enumerate(by_seed)], 1

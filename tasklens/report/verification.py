@@ -18,9 +18,9 @@ from tasklens.report.optimality import optimum
 from tasklens.runtime.files import read_table
 from tasklens.study import names
 from tasklens.study.names import SHARP
-from tasklens.study.tables import TableContents, VerificationContents
+from tasklens.study.tables import MeasuredKey, TableContents, VerificationContents
 
-Reproduced = Mapping[tuple[str, str, int], Path]  # predictions by (lens, measured name, seed)
+Reproduced = Mapping[MeasuredKey, Path]  # predictions
 
 ROUNDING = 1e-6  # tolerance on margins [mm or a fraction]
 DIFFERENT = 1e-3  # largest fraction of captures classified differently; on the same machine it is zero
@@ -67,7 +67,7 @@ def verify(
             failures += _optimum_failures(lens, seed, measurements.lens_file(lens, seed))
     accuracy = {}
     for (lens, classifier), seed in product(contents.measured, contents.seeds):
-        correct = predictions.read(reproduced[lens, classifier, seed])
+        correct = predictions.read(reproduced[MeasuredKey(lens, classifier, seed)])
         accuracy[lens, classifier, seed] = sum(predictions.accuracy_by_field(correct)) / correct.shape[1]
         failures += [
             Failure(lens, str(seed), f"{classifier}: {what}", f"{share:.4f} of the captures differ")
@@ -115,7 +115,7 @@ def differences(
     """
     stored = measurements.correct(lens, classifier, seed)
     same_captures = stored.index.equals(reproduced.index) and stored.columns.equals(reproduced.columns)
-    rows = read_table(measurements.metrics[lens, classifier, seed])
+    rows = read_table(measurements.metrics[MeasuredKey(lens, classifier, seed)])
     metrics = rows[rows["metric"] == "accuracy"].set_index("field")["value"].to_numpy()
     by_field = pandas.Series(predictions.accuracy_by_field(reproduced)).sub(pandas.Series(metrics)).abs()
     return {

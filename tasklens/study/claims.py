@@ -89,14 +89,14 @@ class Claims(Frozen):
     def lens_keys(self) -> list[LensKey]:
         """All lenses that the claims compare."""
         lenses = dict.fromkeys(lens for claim in self.claims for lens in claim.lenses)
-        return [(lens, seed) for lens in lenses for seed in self.seeds]
+        return [LensKey(lens, seed) for lens in lenses for seed in self.seeds]
 
     @property
     def measured_keys(self) -> list[MeasuredKey]:
         """All measurements that the claims compare; without baselines also those on the sharp images."""
         pairs = dict.fromkeys((lens, claim.classifier) for claim in self.claims for lens in claim.lenses)
         pairs |= dict.fromkeys((SHARP, claim.reference) for claim in self.claims if not claim.baselines)
-        return [(*pair, seed) for pair in pairs for seed in self.seeds]
+        return [MeasuredKey(*pair, seed) for pair in pairs for seed in self.seeds]
 
 
 class AblationClaims(Frozen):

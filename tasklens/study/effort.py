@@ -35,7 +35,7 @@ class Efforts(Frozen):
     @property
     def lens_keys(self) -> list[LensKey]:
         """All lenses."""
-        return [(entry.lens, seed) for entry in self.efforts for seed in self.seeds]
+        return [LensKey(entry.lens, seed) for entry in self.efforts for seed in self.seeds]
 
 
 def effort(study: Study) -> Efforts:

@@ -58,15 +58,15 @@ class RankingJob(Frozen):
 
     @property
     def lens_keys(self) -> list[LensKey]:
-        """(lens, seed) of all measured lenses."""
-        return [(lens, self.seed) for lens in self.lenses]
+        """All measured lenses."""
+        return [LensKey(lens, self.seed) for lens in self.lenses]
 
     @property
     def measured_keys(self) -> list[MeasuredKey]:
         """All measurements, those of the sharp images first."""
-        return [(lens, self.classifier, self.seed) for lens in (SHARP, *self.lenses)]
+        return [MeasuredKey(lens, self.classifier, self.seed) for lens in (SHARP, *self.lenses)]
 
     @property
     def built_keys(self) -> list[LensKey]:
-        """(lens, seed) of the lenses that are built in simulation."""
-        return [(lens, self.seed) for lens in self.built]
+        """Lenses that are built in simulation."""
+        return [LensKey(lens, self.seed) for lens in self.built]

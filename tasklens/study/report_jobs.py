@@ -13,7 +13,7 @@ from tasklens.study.restoration_settings import RestorationSettings
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, Spec
 from tasklens.study.study import Study, StudyError, pick
 from tasklens.study.sweep import points
-from tasklens.study.tables import MeasuredKey, SeededLenses, TableContents
+from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, TableContents
 from tasklens.study.tolerance_settings import Grade
 
 
@@ -59,9 +59,20 @@ class ComparisonJob(Frozen):
         return list(dict.fromkeys(lens for claim in self.claims for lens in claim.lenses))
 
     @property
+    def lens_keys(self) -> list[LensKey]:
+        """All lenses that the claims compare."""
+        return [LensKey(lens, self.seed) for lens in self.lenses]
+
+    @property
+    def measured_keys(self) -> list[MeasuredKey]:
+        """Measurements of all these lenses."""
+        keys = [MeasuredKey(lens, claim.classifier, self.seed) for claim in self.claims for lens in claim.lenses]
+        return list(dict.fromkeys(keys))
+
+    @property
     def baseline_keys(self) -> list[MeasuredKey]:
         """Measurements that say which imaging lens is the best."""
-        keys = [(lens, claim.classifier, self.seed) for claim in self.claims for lens in claim.baselines]
+        keys = [MeasuredKey(lens, claim.classifier, self.seed) for claim in self.claims for lens in claim.baselines]
         return list(dict.fromkeys(keys))
 
 
@@ -92,6 +103,7 @@ class CapturesJob(Frozen):
     classifiers: dict[str, ClassifierSettings]
     measured: tuple[tuple[str, str], ...]
     supervised: dict[str, str]
+    seed: int
 
     @classmethod
     def of(cls, study: Study) -> "CapturesJob":
@@ -109,12 +121,33 @@ class CapturesJob(Frozen):
             classifiers={name: study.network(name) for name in used},
             measured=contents.measured,
             supervised=supervised,
+            seed=study.seeds[0],
         )
+
+    @property
+    def lens_keys(self) -> list[LensKey]:
+        """All lenses."""
+        return [LensKey(lens, self.seed) for lens in self.captures]
 
     @property
     def restored(self) -> list[str]:
         """Lenses with a restoration network."""
         return sorted({lens for lens, name in self.measured if names.split(name)[1]})
+
+    @property
+    def restored_keys(self) -> list[LensKey]:
+        """These lenses."""
+        return [LensKey(lens, self.seed) for lens in self.restored]
+
+    @property
+    def measured_keys(self) -> list[MeasuredKey]:
+        """Networks that answer."""
+        return [MeasuredKey(*pair, self.seed) for pair in self.measured]
+
+    @property
+    def supervised_keys(self) -> list[MeasuredKey]:
+        """Measurements that choose the images."""
+        return [MeasuredKey(*pair, self.seed) for pair in self.supervised.items()]
 
 
 class TailsJob(SeededLenses):
@@ -162,7 +195,8 @@ class MeritFunctionJob(Frozen):
     @property
     def frozen_keys(self) -> list[MeasuredKey]:
         """Measurements of each lens by each classifier."""
-        return [(lens, name, seed) for lens, seed in self.contents.lens_keys for name in self.contents.classifiers]
+        contents = self.contents
+        return [MeasuredKey(lens, name, seed) for lens, seed in contents.lens_keys for name in contents.classifiers]
 
 
 class ReportJob(Frozen):
@@ -217,6 +251,16 @@ class ReportJob(Frozen):
             restored=tuple(lens for lens, name in contents.measured if names.split(name)[1]),
             configuration=dump(study),
         )
+
+    @property
+    def lens_keys(self) -> list[LensKey]:
+        """All lenses, in the first seed."""
+        return [LensKey(lens, self.seeds[0]) for lens in self.elements]
+
+    @property
+    def restored_keys(self) -> list[LensKey]:
+        """Lenses with a restoration network, in the first seed."""
+        return [LensKey(lens, self.seeds[0]) for lens in self.restored]
 
 
 class SweepJob(Frozen):

@@ -1,6 +1,7 @@
 """Contents of the tables, the designs and the verification of a study; no torch here."""
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 from tasklens.study import names
 from tasklens.study.design_settings import GradientDesignSettings
@@ -9,8 +10,20 @@ from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
 
-LensKey = tuple[str, int]  # lens, seed
-MeasuredKey = tuple[str, str, int]  # lens or SHARP, measured name, seed
+
+class LensKey(NamedTuple):
+    """Wildcards of the files of a lens."""
+
+    lens: str
+    seed: int
+
+
+class MeasuredKey(NamedTuple):
+    """Wildcards of the files of a measurement; `lens` may be SHARP."""
+
+    lens: str
+    measured_name: str
+    seed: int
 
 
 class SeededLenses(Frozen):
@@ -21,8 +34,8 @@ class SeededLenses(Frozen):
 
     @property
     def lens_keys(self) -> list[LensKey]:
-        """(lens, seed) of all lenses."""
-        return [(lens, seed) for lens in self.lenses for seed in self.seeds]
+        """All lenses."""
+        return [LensKey(lens, seed) for lens in self.lenses for seed in self.seeds]
 
 
 class TableContents(SeededLenses):
@@ -52,7 +65,7 @@ class TableContents(SeededLenses):
     @property
     def measured_keys(self) -> list[MeasuredKey]:
         """All measurements in the table."""
-        return [(*pair, seed) for pair in self.measured for seed in self.seeds]
+        return [MeasuredKey(*pair, seed) for pair in self.measured for seed in self.seeds]
 
     @property
     def frozen_keys(self) -> list[MeasuredKey]:
@@ -179,7 +192,7 @@ class VerificationContents(SeededLenses):
     @property
     def measured_keys(self) -> list[MeasuredKey]:
         """All measurements in the tables."""
-        return [(*pair, seed) for pair in self.measured for seed in self.seeds]
+        return [MeasuredKey(*pair, seed) for pair in self.measured for seed in self.seeds]
 
 
 def verification(study: Study) -> VerificationContents:

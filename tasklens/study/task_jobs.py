@@ -1,12 +1,12 @@
 """Settings of the jobs of tasks other than classification, and contents of their table; no torch here."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 from tasklens.study.job_settings import lens_columns, source
 from tasklens.study.names import SHARP
 from tasklens.study.settings import CaptureSettings, Frozen
 from tasklens.study.study import Study, StudyError
-from tasklens.study.tables import MeasuredKey, chosen_lenses
+from tasklens.study.tables import LensKey, chosen_lenses
 from tasklens.study.task_settings import SceneSettings, TaskSettings
 
 
@@ -52,6 +52,14 @@ class TaskFineTuningJob(Frozen):
         return cls(name=task, network=study.task(task), capture=capture, columns=columns, seed=seed)
 
 
+class TaskKey(NamedTuple):
+    """Wildcards of the files of a score; `lens` may be SHARP."""
+
+    lens: str
+    task: str
+    seed: int
+
+
 class TaskContents(Frozen):
     """Contents of the table of tasks other than classification.
 
@@ -66,14 +74,19 @@ class TaskContents(Frozen):
     seeds: tuple[int, ...]
 
     @property
-    def score_keys(self) -> list[MeasuredKey]:
-        """Lens (or SHARP), task and seed of all scores."""
-        return [(lens, task, seed) for lens in self.lenses for task in self.tasks for seed in self.seeds]
+    def score_keys(self) -> list[TaskKey]:
+        """All scores."""
+        return [TaskKey(lens, task, seed) for lens in self.lenses for task in self.tasks for seed in self.seeds]
 
     @property
     def drawn(self) -> list[str]:
         """Lenses whose PSFs are drawn."""
         return [lens for lens in self.lenses if lens != SHARP]
+
+    @property
+    def drawn_keys(self) -> list[LensKey]:
+        """These lenses in the first seed."""
+        return [LensKey(lens, self.seeds[0]) for lens in self.drawn]
 
 
 def tasks(study: Study) -> TaskContents:

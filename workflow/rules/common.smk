@@ -15,6 +15,7 @@ from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.parts import parts, whole_study_name
 from tasklens.study.ranking import RankingJob
 from tasklens.study.study import StudyError
+from tasklens.study.tables import LensKey, MeasuredKey
 
 
 def flag(name, default):
@@ -70,6 +71,11 @@ def study_of(wildcards):
     return study_named(wildcards.get("study", STUDY.name))
 
 
+def whole_study_of(wildcards):
+    """Return the study whose lenses and networks a job uses; a part of a study has only tables of its own."""
+    return study_named(whole_study_name(study_of(wildcards).name))
+
+
 @cache
 def durations_in(study):
     """Return the measured durations of a study by its name."""
@@ -101,16 +107,14 @@ def needs(rule, gpu=0):
     }
 
 
-def paths(pattern, study, keys=((),), **fixed):
-    """Return the paths of a pattern such as `rules.design.output.lens`, one for each key, a tuple of wildcards.
+def path_of(pattern, study, **wildcards):
+    """Return the path of a pattern such as `rules.images.output.train`, of a study."""
+    return pattern.format(study=study.name, **wildcards)
 
-    A key has those of lens, measured_name, task and seed that are in the pattern but not in `fixed`. A part of a study
-    uses the lenses and measurements of the whole study.
-    """
-    order = [name for name in ("lens", "measured_name", "task", "seed") if f"{{{name}}}" in pattern]
-    wildcards = [name for name in order if name not in fixed]
-    name = whole_study_name(study.name) if order else study.name
-    return [pattern.format(study=name, **fixed, **dict(zip(wildcards, key, strict=True))) for key in keys]
+
+def paths_of(pattern, study, keys):
+    """Return the paths of a pattern such as `rules.design.output.lens`, of a study, one for each key."""
+    return [path_of(pattern, study, **key._asdict()) for key in keys]
 
 
 @cache
@@ -126,7 +130,7 @@ def early(rank=0):
     """Return a priority: jobs of table 1 of the first element counts come first, and among them those of greater rank."""
 
     def priority(wildcards):
-        study = study_named(whole_study_name(study_of(wildcards).name))
+        study = whole_study_of(wildcards)
         first = len(study.elements) + rank
         if study.name != wildcards.get("study", STUDY.name):  # a part
             return first

@@ -7,8 +7,8 @@ rule design:
         train=design_images,
         weights=design_weights,
         files=imported_files,
-        candidates=lens_files_of(paper_tables.candidates),
-        starts=lens_files_of(paper_tables.starts),
+        candidates=prescriptions(paper_tables.candidates),
+        starts=prescriptions(paper_tables.starts),
         metrics=start_metrics,
     output:
         lens="results/{study}/lenses/{lens}/seed{seed}/lens.yaml",

@@ -59,9 +59,9 @@ rule drawing:
 rule comparison:
     """Draw the task-driven lenses of some elements and the best imaging lens (figure 3)."""
     input:
-        lenses=lambda w: paths(rules.design.output.lens, study_of(w), compared_lenses(w)),
-        psfs=lambda w: psf_files(study_of(w), compared_lenses(w)),
-        metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
+        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), comparison_of(w).lens_keys),
+        psfs=lambda w: psf_files(study_of(w), comparison_of(w).lens_keys),
+        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
     output:
         figure=report(
             "results/{study}/figures/figure3-{elements}-seed{seed}.png",
@@ -87,16 +87,11 @@ rule comparison:
 rule frames:
     """Draw frames, a chart and test images, through the task-driven lenses and the best imaging lens (figure 4)."""
     input:
-        lenses=lambda w: paths(rules.design.output.lens, study_of(w), compared_lenses(w)),
-        psfs=lambda w: psf_files(study_of(w), compared_lenses(w)),
-        metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
+        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), comparison_of(w).lens_keys),
+        psfs=lambda w: psf_files(study_of(w), comparison_of(w).lens_keys),
+        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
         test=TEST,
-        correct=lambda w: paths(
-            rules.fine_tune.output.predictions,
-            study_of(w),
-            compared_lenses(w),
-            measured_name=study_of(w).supervisor,
-        ),
+        correct=lambda w: paths_of(rules.fine_tune.output.predictions, study_of(w), comparison_of(w).measured_keys),
     output:
         figure=report(
             "results/{study}/figures/figure4-{elements}-seed{seed}.png",
@@ -120,18 +115,12 @@ rule frames:
 rule captures:
     """Simulate captures of some test images through every lens of the first seed; classify them with each network."""
     input:
-        test=lambda w: [path.format(study=whole_study_name(w.study)) for path in TEST],
-        psfs=lambda w: psf_files(
-            study_of(w), [(lens, study_of(w).seeds[0]) for lens in report_jobs.CapturesJob.of(study_of(w)).captures]
-        ),
-        restorations=of_first_seed(
-            rules.restore.output.weights,
-            lambda study: [(lens,) for lens in report_jobs.CapturesJob.of(study).restored],
-        ),
-        weights=of_first_seed(rules.fine_tune.output.weights, lambda study: report_jobs.CapturesJob.of(study).measured),
-        correct=of_first_seed(
-            rules.fine_tune.output.predictions,
-            lambda study: report_jobs.CapturesJob.of(study).supervised.items(),
+        test=lambda w: [path_of(pattern, whole_study_of(w)) for pattern in TEST],
+        psfs=lambda w: psf_files(whole_study_of(w), captures_of(w).lens_keys),
+        restorations=lambda w: paths_of(rules.restore.output.weights, whole_study_of(w), captures_of(w).restored_keys),
+        weights=lambda w: paths_of(rules.fine_tune.output.weights, whole_study_of(w), captures_of(w).measured_keys),
+        correct=lambda w: paths_of(
+            rules.fine_tune.output.predictions, whole_study_of(w), captures_of(w).supervised_keys
         ),
     output:
         images="results/{study}/figures/captures.safetensors",

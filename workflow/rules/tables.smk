@@ -4,9 +4,9 @@
 rule table:
     """Make one table of the paper as CSV, Markdown and LaTeX."""
     input:
-        lenses=lambda w: paths(rules.design.output.lens, study_of(w), table_of(w).lens_keys),
-        metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), table_of(w).measured_keys),
-        frozen=lambda w: paths(rules.fine_tune.output.frozen, study_of(w), table_of(w).frozen_keys),
+        lenses=lambda w: paths_of(rules.design.output.lens, whole_study_of(w), table_of(w).lens_keys),
+        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, whole_study_of(w), table_of(w).measured_keys),
+        frozen=lambda w: paths_of(rules.fine_tune.output.frozen, whole_study_of(w), table_of(w).frozen_keys),
         paper=str(PAPER_VALUES),
     output:
         csv=report(
@@ -114,7 +114,9 @@ rule ablation:
 rule psf_tail_table:
     """Make the tables of core, tail and encircled energy of all PSFs."""
     input:
-        lenses=lambda w: paths(rules.design.output.lens, study_of(w), report_jobs.TailsJob.of(study_of(w)).lens_keys),
+        lenses=lambda w: paths_of(
+            rules.design.output.lens, whole_study_of(w), report_jobs.TailsJob.of(study_of(w)).lens_keys
+        ),
     output:
         csv=report(
             "results/{study}/tables/psf_tail.csv",
@@ -142,7 +144,9 @@ rule psf_tail_table:
 rule effort_table:
     """Make the table of the effort of each design: lenses tried, and core-minutes, which differ from run to run."""
     input:
-        lenses=lambda w: paths(rules.design.output.lens, study_of(w), paper_effort.effort(study_of(w)).lens_keys),
+        lenses=lambda w: paths_of(
+            rules.design.output.lens, whole_study_of(w), paper_effort.effort(study_of(w)).lens_keys
+        ),
     output:
         csv=report(
             "results/{study}/effort.csv",
@@ -169,12 +173,10 @@ rule effort_table:
 rule ranking_table:
     """Rank lenses by the accuracy of the supervisor: a table, and a page."""
     input:
-        lenses=lambda w: paths(rules.design.output.lens, study_of(w), RankingJob.of(study_of(w)).lens_keys),
-        metrics=lambda w: paths(rules.fine_tune.output.metrics, study_of(w), RankingJob.of(study_of(w)).measured_keys),
-        predicted=lambda w: paths(
-            rules.fine_tune.output.predictions, study_of(w), RankingJob.of(study_of(w)).measured_keys
-        ),
-        built=lambda w: paths(rules.production.output.lenses, study_of(w), RankingJob.of(study_of(w)).built_keys),
+        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), ranking_of(w).lens_keys),
+        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, study_of(w), ranking_of(w).measured_keys),
+        predicted=lambda w: paths_of(rules.fine_tune.output.predictions, study_of(w), ranking_of(w).measured_keys),
+        built=lambda w: paths_of(rules.production.output.lenses, study_of(w), ranking_of(w).built_keys),
     output:
         csv=report(
             "results/{study}/tables/ranking.csv",
@@ -201,7 +203,7 @@ rule merit_function_table:
     """Make the table and figure of the loss of each classifier as a function of the MTF."""
     input:
         psfs=lambda w: psf_files(study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).contents.lens_keys),
-        frozen=lambda w: paths(
+        frozen=lambda w: paths_of(
             rules.fine_tune.output.frozen, study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).frozen_keys
         ),
     output:
@@ -240,16 +242,16 @@ rule report_page:
         verdicts=rules.verdicts_table.output.csv,
         psf_tail=rules.psf_tail_table.output.csv,
         effort=rules.effort_table.output.csv,
-        lenses=of_shown_lenses(rules.design.output.lens),
-        histories=of_shown_lenses(rules.design.output.history),
-        pages=of_shown_lenses(rules.certificate.output.page),
-        zemax=of_shown_lenses(rules.certificate.output.zemax),
-        sections=of_shown_lenses(rules.certificate.output.section),
-        spots=of_shown_lenses(rules.certificate.output.spots),
-        psfs=of_shown_lenses(rules.certificate.output.psfs),
-        curves=of_shown_lenses(rules.certificate.output.curves),
-        restorations=of_first_seed(
-            rules.restore.output.history, lambda study: [(lens,) for lens in report_jobs.ReportJob.of(study).restored]
+        lenses=shown(rules.design.output.lens),
+        histories=shown(rules.design.output.history),
+        pages=shown(rules.certificate.output.page),
+        zemax=shown(rules.certificate.output.zemax),
+        sections=shown(rules.certificate.output.section),
+        spots=shown(rules.certificate.output.spots),
+        psfs=shown(rules.certificate.output.psfs),
+        curves=shown(rules.certificate.output.curves),
+        restorations=lambda w: paths_of(
+            rules.restore.output.history, whole_study_of(w), report_jobs.ReportJob.of(study_of(w)).restored_keys
         ),
         capture_file=rules.captures.output.images,
         answers=rules.captures.output.answers,
@@ -299,12 +301,12 @@ rule sweep_table:
 rule verify:
     """Verify limits and accuracies of the finished study of the configuration; print failures and verdicts."""
     input:
-        lenses=verified(rules.design.output.lens, lambda contents: contents.lens_keys),
-        metrics=verified(rules.fine_tune.output.metrics, lambda contents: contents.measured_keys),
-        predictions=verified(rules.fine_tune.output.predictions, lambda contents: contents.measured_keys),
-        reproduced=verified(rules.reproduce.output.predictions, lambda contents: contents.measured_keys),
+        lenses=lambda w: paths_of(rules.design.output.lens, STUDY, verification(w).lens_keys),
+        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, STUDY, verification(w).measured_keys),
+        predictions=lambda w: paths_of(rules.fine_tune.output.predictions, STUDY, verification(w).measured_keys),
+        reproduced=lambda w: paths_of(rules.reproduce.output.predictions, STUDY, verification(w).measured_keys),
         tables=tables_of(rules.table.output.csv),
-        verdicts=lambda w: paths(rules.verdicts_table.output.md, STUDY),
+        verdicts=lambda _: path_of(rules.verdicts_table.output.md, STUDY),
     log:
         f"results/{STUDY.name}/logs/verify.log",
     benchmark:

@@ -5,13 +5,13 @@ rule tables:
     """All tables of the study, their verdicts, and the page."""
     default_target: True
     input:
-        [path for study in POINTS for name in study.tables for path in paths(rules.table.output.csv, study, table=name)],
+        [path_of(rules.table.output.csv, study, table=name) for study in POINTS for name in study.tables],
         at_points(rules.verdicts_table.output.csv),
         at_points(rules.psf_tail_table.output.csv),
         at_points(rules.effort_table.output.csv),
         at_points(rules.report_page.output.report),
-        lambda _: [path for part in parts(STUDY) for path in paths(rules.report_page.output.report, part)],
-        paths(rules.sweep_table.output.csv, STUDY) if STUDY.sweep else [],
+        lambda _: [path_of(rules.report_page.output.report, part) for part in parts(STUDY)],
+        path_of(rules.sweep_table.output.csv, STUDY) if STUDY.sweep else [],
     localrule: True
 
 
@@ -130,14 +130,14 @@ rule tasks:
 rule figures:
     """Drawings of every lens."""
     input:
-        at_points(rules.drawing.output.figure, lens_keys),
+        of_all_lenses(rules.drawing.output.figure),
     localrule: True
 
 
 rule certificates:
     """A page for every lens."""
     input:
-        at_points(rules.certificate.output.page, lens_keys),
+        of_all_lenses(rules.certificate.output.page),
     localrule: True
 
 

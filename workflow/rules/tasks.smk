@@ -72,11 +72,11 @@ rule task_fine_tune:
 rule tasks_table:
     """Make the table of tasks other than classification, with the scores for each lens, and draw PSFs of the lenses."""
     input:
-        metrics=lambda w: paths(
+        metrics=lambda w: paths_of(
             rules.task_fine_tune.output.metrics, study_of(w), task_jobs.tasks(study_of(w)).score_keys
         ),
-        lenses=lambda w: paths(rules.design.output.lens, study_of(w), drawn_lenses(w)),
-        psfs=lambda w: psf_files(study_of(w), drawn_lenses(w)),
+        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), task_jobs.tasks(study_of(w)).drawn_keys),
+        psfs=lambda w: psf_files(study_of(w), task_jobs.tasks(study_of(w)).drawn_keys),
     output:
         csv=report(
             "results/{study}/tables/tasks.csv",

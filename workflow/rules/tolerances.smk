@@ -30,7 +30,7 @@ rule production:
 rule tolerances_table:
     """Make the table of built lenses: loss of accuracy in manufacture, compared with imaging lenses."""
     input:
-        built_lenses=lambda w: paths(
+        built_lenses=lambda w: paths_of(
             rules.production.output.lenses, study_of(w), built_lenses.built(study_of(w)).lens_keys
         ),
     output:
