@@ -51,7 +51,7 @@ from tasklens.recognition import object_scenes
 
 FRACTIONS = (0.0, 0.5, 0.7, 1.0)  # of the tangent of the largest field angle
 FREQUENCIES = {"cellphone": 100.0, "classical": 30.0}  # of the MTF [cycles/mm]
-SPOT_UM, MTF, DISTORTION_PERCENT, ILLUMINATION, CODEV = 0.01, 0.005, 0.01, 1e-4, 0.05  # tolerances; the last relative
+SPOT_UM, MTF, DISTORTION_PERCENT, ILLUMINATION, CODEV = 0.01, 0.005, 0.01, 0.02, 0.05  # tolerances; the last relative
 _FINE = 101  # pupil points across, for CODE V's spots
 _GRID = 33  # pupil points across, as in the reference spots
 _RIM = 2048  # rays of the rim, for the illumination

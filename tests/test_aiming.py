@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
@@ -16,7 +15,7 @@ from tasklens.optics.analysis.continuation import stop_is_curved
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
-from tasklens.optics.analysis.spots import chief_rays_full, trace_fields
+from tasklens.optics.analysis.spots import chief_points, chief_rays_full, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus, launch
 from tasklens.optics.tracing.trace import trace, trace_full
@@ -293,32 +292,25 @@ def test_a_clear_aperture_in_front_of_the_stop_still_vignettes():
 
 
 def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_width: float, count: int) -> torch.Tensor:
-    """Illuminance of fields: the area in direction cosines that the rays of a grid cover behind the lens.
+    """Illuminance of fields by counting rays: cos^4 times the area of the beam, over the image area of a field.
 
-    Rays start on a square of the first vertex plane, whatever the pupil; the area is a Jacobian on that plane.
+    Rays start on a square of the first vertex plane, whatever the pupil. Differences of chief rays give the image area.
     """
     axis = (torch.arange(count, dtype=torch.float64) + 0.5) * (2 * half_width / count) - half_width
-    grid = torch.cartesian_prod(axis, axis).T
+    x, y = torch.cartesian_prod(axis, axis).T[:, None]
     indices = lens.refractive_indices((wavelength,))
-    x, y = grid[:, None]
-    one, zero = torch.ones_like(x), torch.zeros_like(x)
     edge = torch.maximum(x.abs(), y.abs()) > half_width * (1 - 2 / count)
-
-    def cosines(tangent: torch.Tensor, centre: Rays, x: torch.Tensor, y: torch.Tensor):
-        n = torch.rsqrt(1 + tangent.square().sum())
-        start = launch(centre.x + x, centre.y + y, torch.zeros_like(x), tangent[0] * n, tangent[1] * n, n)
-        rays = trace(lens, start, indices)
-        return (rays.l, rays.m), rays.valid
-
-    areas = []
+    light = []
     for tangent in tangents:
         centre = launch_fields(lens, view_at(tangent[None], (wavelength,)), CENTRE)  # only centres the square
-        behind = partial(cosines, tangent, centre)
-        _, (lx, mx), valid = torch.func.jvp(behind, (x, y), (one, zero), has_aux=True)
-        _, (ly, my), _ = torch.func.jvp(behind, (x, y), (zero, one), has_aux=True)
+        n = torch.rsqrt(1 + tangent.square().sum())
+        start = launch(centre.x + x, centre.y + y, torch.zeros_like(x), tangent[0] * n, tangent[1] * n, n)
+        valid = trace(lens, start, indices).valid
         assert valid.any() and not (valid & edge).any()  # the square holds the whole pupil
-        areas.append(torch.where(valid, (lx * my - ly * mx).abs(), 0.0).sum())
-    return torch.stack(areas)
+        steps = 1e-5 * torch.cat([torch.eye(2), -torch.eye(2)]).double()
+        points = chief_points(lens, view_at(tangent + steps, (wavelength,)))
+        light.append(valid.sum() * n**4 / torch.linalg.det(points[:2] - points[2:]).abs())
+    return torch.stack(light)
 
 
 WIDE = (reverse_telephoto, (0, 30, 60), 1.0)
@@ -328,7 +320,10 @@ NORMAL = (cooke_triplet, (0, 10, 20), 7.0)
 @pytest.mark.parametrize("clipped", [False, True])
 @pytest.mark.parametrize("make, angles, half_width", [WIDE, NORMAL])
 def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, clipped):
-    """Compared with 400 x 400 rays over the first surface: within 4e-3 if an aperture cuts the pupil, else 1e-3."""
+    """Compared with 400 x 400 rays over the first surface: within 5e-3 if no aperture cuts the pupil, else 0.02.
+
+    The image area is that of the chief ray there; these lenses are not in focus.
+    """
     lens, tangents = make(), tangents_of(*angles)
     if clipped:  # smaller than the beam of the largest field
         rays = launch_fields(lens, view_at(tangents), rim(64))
@@ -336,10 +331,10 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
         height = torch.hypot(behind.x, behind.y)[-1]
         lens.semi_diameter[-2] = float(height.mean())
     view = view_at(tangents)
-    area = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
-    expected = area / area[0]
+    light = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
+    expected = light / light[0]
     illumination = relative_illumination(lens, view)
-    torch.testing.assert_close(illumination, expected, rtol=0, atol=4e-3 if clipped else 1e-3)
+    torch.testing.assert_close(illumination, expected, rtol=0, atol=0.02 if clipped else 5e-3)
 
 
 def test_an_inner_stop_is_recognised():

@@ -31,7 +31,7 @@ from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.study.settings import CaptureSettings
 from tasklens.study.tolerance_settings import Grade
 
-_PUPIL = (6, 12)  # rings and arms for the relative illumination, within 1e-5 for half of the published lenses
+_PUPIL = (6, 12)  # rings and arms for the relative illumination; within 1e-5 for half of the published lenses
 VALIDATION = slice(48)  # images in fixed order; a batch of 8 photographs has losses from 0.1 to 2 for the same lens
 SELECTION = slice(-192, None)  # other images, if there are enough: 1000 steps overfit the 48
 _ENOUGH = 1000  # dataset size from which batches exclude the two above

@@ -14,7 +14,7 @@ Conventions:
   pupil. Rays are aimed at a stop behind a refracting surface; a ray that cannot reach its stop point is lost.
 - Every launched ray has the same weight, that of a small area of the stop. Where the entrance pupil is a distorted
   image of the stop, the energies of equal areas of the stop differ by the determinant of
-  d(launch x, y) / d(pupil x, y). Spots, PSFs and MTFs leave it out; relative illumination is exact.
+  d(launch x, y) / d(pupil x, y). Spots, PSFs and MTFs leave it out; relative illumination does not.
 - Tangential is along the field, in the plane of axis and chief ray; sagittal is across it. On the axis tangential is y.
 - A wavefront is ahead of its reference where W > 0: the ray's optical path is shorter than that of the chief ray.
   Zernike coefficients are in Noll's order, in waves RMS.
