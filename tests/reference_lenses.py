@@ -10,7 +10,7 @@ from reference_files import reference_files
 
 from tasklens.materials.material import AIR, C_LINE, D_LINE, F_LINE, Material
 from tasklens.optics.analysis.aiming import stop_is_inside
-from tasklens.optics.io import zemax
+from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 
@@ -47,7 +47,7 @@ def reference_lens(path: Path, apertures: bool = False) -> Lens:
         tuple(with_indices(surface["n"]) for surface in surfaces),
         stop,
     )
-    radius = zemax.stop_radius(lens, ("entrance_pupil_diameter_mm", content["epd"]), D_LINE)
+    radius = stop_radius(lens, ("entrance_pupil_diameter_mm", content["epd"]), D_LINE)
     lens.semi_diameter[stop] = radius
     return lens
 

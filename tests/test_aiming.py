@@ -16,7 +16,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.analysis.spots import chief_points, chief_rays_full, trace_fields
-from tasklens.optics.lens import Lens
+from tasklens.optics.lens import Lens, Melt
 from tasklens.optics.rays import Rays, RayStatus, launch
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
@@ -339,3 +339,19 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
 
 def test_an_inner_stop_is_recognised():
     assert aiming.stop_is_inside(cooke_triplet()) and not aiming.stop_is_inside(random_lens(0))
+
+
+def test_derivatives_by_refractive_indices():
+    """Of a glass melt, alone: rays are aimed again."""
+    lens = cooke_triplet()
+    shift = torch.zeros(len(lens.media), dtype=torch.float64)
+
+    def merit(shift: torch.Tensor) -> torch.Tensor:
+        melted = replace(lens, melt=Melt(shift, torch.zeros_like(shift), 0.5876))
+        rays = launch_fields(melted, view_at(tangents_of(0, 20)), MANY)
+        opened = replace(melted, semi_diameter=torch.full_like(lens.semi_diameter, torch.inf))
+        return trace(opened, rays, melted.refractive_indices(WAVELENGTHS)).y.sum()
+
+    derivative = torch.autograd.functional.jacobian(merit, shift)
+    expected = difference(merit, shift, 1e-5)
+    torch.testing.assert_close(derivative, expected.reshape(derivative.shape), rtol=1e-6, atol=1e-6)

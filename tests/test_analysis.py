@@ -45,6 +45,10 @@ def test_rms_is_a_root_of_a_mean_square_and_lost_rays_count_in_energy_only():
     """Rays at 1, 2 and 3 from the centre, a fourth lost: RMS sqrt(14 / 3), half of the launched light within 2."""
     rays = rays_on_image([[[1.0, -2.0, 3.0, 0.0]]], [[[0.0] * 4]], torch.tensor([[[True, True, True, False]]]))
     assert float(rms_spot_radius(rays, ORIGIN)) == pytest.approx(math.sqrt(14 / 3), rel=1e-15)
+    start = rays.x[0, 0, 0].item(), rays.y[0, 0, 0].item()
+    moved = replace(rays, x=rays.x.clone().requires_grad_())
+    rms_spot_radius(moved, f64([start])).sum().backward()  # one ray is at the centre itself
+    assert moved.x.grad.isfinite().all() and moved.x.grad.any()
     assert float(encircled_energy_radius(rays, ORIGIN, 0.5)) == 2
     assert float(encircled_energy_radius(rays, ORIGIN, 0.75)) == 3
     assert math.isinf(float(encircled_energy_radius(rays, ORIGIN, 0.8)))

@@ -67,3 +67,9 @@ def test_the_first_file_that_has_a_name_defines_it(tmp_path):
     library = Library([tmp_path / "a.yaml", tmp_path / "b.yaml"])
     assert library.glass("COC").refractive_index(0.5) == 1.4 and library.glass("b").refractive_index(0.5) == 1.6
     assert library.glass("OKP4") == builtin("OKP4")
+
+
+@pytest.mark.parametrize("code, nd", [("517642", 1.517), ("003283", 2.003), ("102168", 2.102), ("434950", 1.434)])
+def test_a_glass_code(code, nd):
+    """S-LAH79 is 003283 and L-BBH1 102168; no glass has an index of 1.1 or less."""
+    assert float(Library().glass(code).refractive_index(0.58756)) == pytest.approx(nd, abs=1e-6)

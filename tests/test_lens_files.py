@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
+import yaml
 from examples import cooke_triplet, f64, make_lens
 
 import tasklens
@@ -100,11 +101,30 @@ def test_what_no_lens_can_have_is_refused(tmp_path):
         save(tmp_path, fields=("angle_deg", ((0.0, 95.0),)))
     semi = cooke_triplet().semi_diameter.clone()
     semi[cooke_triplet().stop] = 60.0
-    with pytest.raises(FileError, match=r"F/0.3\d: no lens in air is faster than F/0.5"):
+    with pytest.raises(FileError, match=r"F/0.3\d: faster than F/0.5"):
         save(tmp_path, lens=cooke_triplet(semi_diameter=semi))
     surfaces = [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}]
-    with pytest.raises(InputError, match=r"F/0\.4: no lens in air"):
+    with pytest.raises(InputError, match=r"F/0\.4: faster than"):
         tasklens.lens(surfaces, field_of_view_deg=4, f_number=0.4)
+
+
+def test_an_aperture_that_does_not_fit_the_stop_is_refused(tmp_path):
+    """An F-number edited by hand; the radius of the stop has to change with it."""
+    path = tmp_path / "lens.yaml"
+    lens, view = tasklens.lens(
+        [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}], 10, 4.0
+    )
+    tasklens.save_lens(path, lens, view)
+    content = yaml.safe_load(path.read_text()) | {
+        "aperture": {"f_number": 4.0},
+        "wavelengths_um": [0.5876],
+        "primary": 0,
+    }
+    path.write_text(yaml.safe_dump(content))
+    lens_files.read(path)
+    path.write_text(yaml.safe_dump(content | {"aperture": {"f_number": 2.0}}))
+    with pytest.raises(FileError, match=r"aperture: f_number = 2 needs a stop of \S+ mm, but its semi_diameter is \S+"):
+        lens_files.read(path)
 
 
 def test_a_slow_relay_with_a_large_pupil_is_read(tmp_path):

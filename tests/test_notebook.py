@@ -230,6 +230,7 @@ def test_a_lens_typed_surface_by_surface():
         (0, {"radius": 0}, "surface 0: radius: expected a number other than 0"),
         (1, {"radiuss": 3}, "surface 1: unknown key 'radiuss'; expected radius, curvature"),
         (1, {"curvature": 3}, "surface 1: expected either `radius`"),
+        (2, {"semi_diameter": -5}, "surface 2: semi_diameter: expected a radius that is not negative, got -5"),
         (2, {"thickness": "thin"}, "surface 2: thickness: expected a number, got 'thin'"),
         (2, {"material": "F22"}, "unknown glass 'F22'"),
         (4, {"stop": True}, "expected `stop` at one surface, got 2"),

@@ -14,7 +14,8 @@ import tasklens
 from tasklens.cli.app import main
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, trace_fields
+from tasklens.optics.analysis.spots import chief_points, chief_rays, chief_rays_full, trace_fields
+from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
@@ -34,6 +35,12 @@ def blurred() -> tuple[Lens, View]:
     clear[0] = 7.5
     fields = f64([[0.0, 0.0], [0.0, 9.0], [0.0, 18.0]])
     return replace(whole, thickness=distance, semi_diameter=clear), View(fields, 50.0, WAVELENGTHS, 225.0, 31)
+
+
+def chief_heights(lens: Lens, view: View) -> Tensor:
+    """Heights (F,) of the chief rays on the last surface [mm]."""
+    behind = chief_rays_full(with_open_apertures(lens), view)[2][-1]
+    return torch.hypot(behind.x, behind.y)[:, 0, 0]
 
 
 @pytest.fixture(scope="module")
@@ -179,6 +186,18 @@ def test_light_of_the_halo_is_found_where_it_belongs():
     assert float((capture * columns).sum()) == pytest.approx(0, abs=0.6)
     assert float((capture * columns.abs()).sum()) == pytest.approx(16, abs=0.5)
     assert float(capture[:, 26:38].abs().max()) < 1e-6
+
+
+def test_an_aperture_that_stops_the_chief_ray_darkens_the_corner():
+    """A third of the corner's light passes a rear aperture, the chief ray not: the capture is complete."""
+    lens, view = blurred()
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[-1] = 0.98 * float(chief_heights(lens, view)[-1])
+    lens = replace(lens, semi_diameter=semi_diameter)
+    rays = trace_fields(lens, view, sobol_disc(256, 0))
+    assert not bool(chief_rays(lens, view).valid[-1]) and 0.05 < float(rays.valid[-1].double().mean()) < 0.6
+    grey = tasklens.simulate_sensor(torch.full((3, *SHAPE), 0.5), lens, view, rays=256, illumination=True)
+    assert grey.isfinite().all() and float(grey[1, 1, 1]) < float(grey[1, 48, 64])
 
 
 def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_corner():

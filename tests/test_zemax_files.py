@@ -19,6 +19,7 @@ from tasklens.materials.material import AIR, D_LINE
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import lens_files, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace
@@ -93,7 +94,7 @@ def test_first_order_and_rays(reading):
     expected = reference["reference"]
     lens = bare_lens(reading)
     if imported.aperture is not None:
-        lens.semi_diameter[lens.stop] = zemax.stop_radius(lens, imported.aperture, D_LINE)
+        lens.semi_diameter[lens.stop] = stop_radius(lens, imported.aperture, D_LINE)
     first_order = paraxial(lens, D_LINE)
     assert float(first_order.efl) == pytest.approx(expected["efl_d"], rel=0, abs=1e-9)
     assert float(first_order.bfl) == pytest.approx(expected["bfl_d"], rel=0, abs=1e-9)

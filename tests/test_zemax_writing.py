@@ -12,6 +12,7 @@ from tasklens.materials import catalogues
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import FIELDS, Prescription
+from tasklens.optics.io.stop import stop_radius
 from tasklens.runtime.files import FileError
 
 MINE = Material("MINE", "conrady", (1.5, 0.01, 0.002), (0.4, 0.8), "maker")
@@ -39,9 +40,7 @@ def random_prescription(seed: int) -> Prescription:
     )
     aperture = (None, ("f_number", 2.8 + float(rand(1)) / 3), ("entrance_pupil_diameter_mm", 1.1))[seed % 3]
     wavelengths = (0.4861 + seed / 1e3, 0.5893, 0.6563)
-    lens.semi_diameter[lens.stop] = (
-        0.3 if aperture is None else zemax.stop_radius(lens, aperture, wavelengths[seed % 3])
-    )
+    lens.semi_diameter[lens.stop] = 0.3 if aperture is None else stop_radius(lens, aperture, wavelengths[seed % 3])
     return Prescription(
         lens=lens,
         title=("", "yes: no", "Ø 3 mm")[seed % 3],

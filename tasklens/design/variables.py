@@ -10,7 +10,7 @@ from torch import Tensor
 from tasklens.optics.analysis.aiming import stop_is_inside
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import clear_semi_diameters
-from tasklens.optics.io.zemax import stop_radius
+from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError

@@ -14,6 +14,7 @@ from tasklens.runtime.files import FileError
 
 FOLDER = "TASKLENS_CATALOGUES"  # environment variable: a folder of catalogues that every command reads
 _CODE = re.compile(r"(\d{3})(\d{3})")
+_SMALLEST = "300"  # decimals of the smallest index below 2; those of glasses from nd = 2 on are smaller
 _MAKERS = ("SCHOTT", "OHARA", "HOYA", "HIKARI", "CDGM", "SUMITA")  # in search order
 _ALIASES = {"NIKON": "HIKARI", "NIKON-HIKARI": "HIKARI"}  # other names of catalogues in OpticStudio
 
@@ -52,7 +53,7 @@ class Library:
     def glass(self, name: str) -> Material:
         """Return the first glass of a name.
 
-        Six digits are a glass code: 517642 has nd = 1.517 and Vd = 64.2.
+        Six digits are a glass code: 517642 has nd = 1.517 and Vd = 64.2, and 003283 has nd = 2.003.
 
         Raises:
             UnknownGlassError: no glass of this name.
@@ -66,7 +67,8 @@ class Library:
         if errors:
             raise errors[0]
         if code := _CODE.fullmatch(name):
-            return model_glass(float(f"1.{code[1]}"), int(code[2]) / 10, 0.0, name)
+            whole = 2 if code[1] < _SMALLEST else 1
+            return model_glass(float(f"{whole}.{code[1]}"), int(code[2]) / 10, 0.0, name)
         raise UnknownGlassError(self._unknown(name))
 
     def _matches(self, name: str, errors: list[FileError]) -> Iterator[Material]:

@@ -16,7 +16,8 @@ from torch import Tensor
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_rays, trace_fields
+from tasklens.optics.analysis.spots import chief_points, chief_rays, trace_fields
+from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import RayStatus
@@ -67,7 +68,7 @@ class _FieldMap:
         self.fields = self.heights / self.image_scale
         farthest = radius / self.image_scale * (1.25 if distortion else 1)
         trial_fields = torch.linspace(0, farthest, 2 * _RADII, dtype=torch.float64)
-        chief = chief_rays(lens, view.along_y(trial_fields))
+        chief = chief_rays(with_open_apertures(lens), view.along_y(trial_fields))
         image_heights = chief.y[:, 0, 0]
         rising = chief.valid[:, 0, 0] & (torch.diff(image_heights, prepend=image_heights[:1] - 1) > 0)
         count = int(rising.int().cumprod(0).sum())
@@ -156,8 +157,7 @@ def trace_sensor_psfs(
 
 def _core_and_halo(lens: Lens, view: View, pupil: Tensor, pitch: float, halo_size: int) -> tuple[Tensor, Tensor]:
     """Trace the PSFs (F, 3, K, K) and (F, 3, M, M) of the fields of a view."""
-    rays, chief = trace_fields(lens, view, pupil), chief_rays(lens, view)
-    centre = torch.stack([chief.x[:, 0, 0], chief.y[:, 0, 0]], -1)
+    rays, centre = trace_fields(lens, view, pupil), chief_points(lens, view)
     transmission = (~rays.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / len(pupil))[..., None, None]
     offset = torch.stack([rays.x, rays.y], -1) - centre[:, None, None]
     inside = offset.detach().abs().amax(-1) <= (_CORE // 2) * pitch / 1e3  # all four pixels of such a ray
@@ -174,8 +174,9 @@ def _nodes(lens: Lens, view: View, half: list[float], pitch: float, field_map: _
     """Return the distances of the nodes from the centre [pixels], along y and along x."""
     radius = field_map.heights * (1e3 / pitch)
     radial = view.along_y(field_map.fields.detach())
-    rays, chief = trace_fields(lens.detached(), radial, sobol_disc(256, seed=0)), chief_rays(lens.detached(), radial)
-    offset = torch.stack([rays.x - chief.x, rays.y - chief.y], -1) * (1e3 / pitch)
+    rays = trace_fields(lens.detached(), radial, sobol_disc(256, seed=0))
+    chief = chief_points(lens.detached(), radial)
+    offset = (torch.stack([rays.x, rays.y], -1) - chief[:, None, None]) * (1e3 / pitch)
     between = radius.diff()
     motion = offset.diff(dim=0).norm(dim=-1) / between[:, None, None]  # along the radius, per pixel of field
     turn = offset[1:].norm(dim=-1) / radius[1:, None, None]  # across the radius, the PSF rotates about the axis

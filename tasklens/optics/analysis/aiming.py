@@ -43,16 +43,16 @@ def aim(
 
     Returns:
         (F, W, N, 2) launch points [mm] on the first vertex plane in double precision, differentiable in the lens,
-        `tangents` and `pupil`; `status` and `lost_at` (F, W, N) as in `Rays`. A ray is lost if no launch point brings
-        it to its pupil point. Its status is the reason, or MISSED at the stop; its launch point is that of the nearest
-        aimed ray.
+        `tangents`, `pupil` and `indices`; `status` and `lost_at` (F, W, N) as in `Rays`. A ray is lost if no launch
+        point brings it to its pupil point. Its status is the reason, or MISSED at the stop; its launch point is that of
+        the nearest aimed ray.
     """
     if lens.dtype != torch.float64:  # otherwise rays on the rim would not pass the stop
         pupil = pupil.double() * (1 - _ROUNDING * torch.finfo(lens.dtype).eps)
     numbers = [getattr(lens, name).double() for name in _NUMBERS]
     lens = replace(lens, **dict(zip(_NUMBERS, numbers, strict=True)))
     tangents, pupil, indices, entrance_pupil = (v.double() for v in (tangents, pupil, indices, entrance_pupil))
-    differentiable = any(_carries_derivative(v) for v in (*numbers, tangents, pupil))
+    differentiable = any(_carries_derivative(v) for v in (*numbers, tangents, pupil, indices))
     point, slope, status, lost_at = _Solve.apply(
         lens, differentiable, vergence, tangents, pupil, indices, entrance_pupil, *numbers
     )

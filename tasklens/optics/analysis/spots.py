@@ -109,7 +109,8 @@ def rms_spot_radius(rays: Rays, centre: Tensor) -> Tensor:
 
     Lost rays are left out, so report it together with the valid fraction.
     """
-    squared = torch.where(rays.valid, distances(rays, centre).square(), 0.0)
+    squared = (rays.x - centre[:, 0, None, None]).square() + (rays.y - centre[:, 1, None, None]).square()
+    squared = torch.where(rays.valid, squared, 0.0)
     count = rays.valid.sum((1, 2))
     return torch.where(count > 0, torch.sqrt(squared.sum((1, 2)) / count.clamp(min=1)), torch.inf)
 

@@ -11,6 +11,7 @@ from tasklens.optics.analysis.pupil import rim
 from tasklens.optics.analysis.spots import chief_rays, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View
@@ -45,10 +46,10 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
         raise FileError(f"{name}: {error}") from None
     efl = float(paraxial(source.lens, view.reference).efl)
     if not 0 < efl < math.inf:
-        raise FileError(f"{name}: a lens with a focal length of {efl:.4g} mm forms no image")
+        raise FileError(f"{name}: focal length {efl:.4g} mm: expected a positive one")
     scale = view.efl / efl
     lens = source.lens.scaled(scale)
-    lens.semi_diameter[lens.stop] = zemax.stop_radius(lens, ("f_number", f_number), view.reference)
+    lens.semi_diameter[lens.stop] = stop_radius(lens, ("f_number", f_number), view.reference)
     _check_light(lens, view, f_number, name)
     focused = refocused(lens, view, rays)
     return focused, {

@@ -11,13 +11,13 @@ from pydantic import ValidationError
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
-from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import check_object, check_stop, rim
+from tasklens.optics.analysis.pupil import check_stop, rim
 from tasklens.optics.analysis.spots import chief_rays, has_light, trace_fields
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.fields import largest_tangent
 from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View, view_of_spec
@@ -28,7 +28,6 @@ from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
 _RIM = 64  # marginal rays on the axis
-_FASTEST = 0.5  # F-number, by the sine condition
 _CHANGES = ("field_of_view_deg", "f_number", "pixel_pitch_um", "kernel_size")  # keys of `Spec` that may be changed
 _KEYWORDS = (*_CHANGES, "wavelengths_um", "object_distance_mm", "configuration")
 _COMPUTED = ("figures", "margins", "worst_margin", "local_optimum")  # keys of a lens file for its own specification
@@ -105,16 +104,6 @@ def read(
         raise FileError(f"{path}: {error}") from None
 
 
-def _check_aperture(lens: Lens, view: View) -> None:
-    """Raise InputError if a near object is in the lens, or if the beam on the axis is faster than physics allows."""
-    if view.object_vergence:
-        check_object(lens, view)
-    scale = float(image_scale(lens, view)) if view.object_vergence else 1.0
-    f_number = abs(scale * float(paraxial(lens, view.reference).f_number))
-    if f_number < _FASTEST:
-        raise InputError(f"F/{f_number:.2g}: no lens in air is faster than F/{_FASTEST}; correct the aperture")
-
-
 def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of a lens file without what was computed for its own specification."""
     return {key: value for key, value in content.items() if key not in _COMPUTED}
@@ -166,7 +155,9 @@ def read_prescription(
     if suffix == ".zmx":
         return zemax.read(path, catalogues, configuration), {}
     if suffix in (".yaml", ".yml"):
-        return prescription.read(path)
+        source, content = prescription.read(path)
+        check_radius(source, path)
+        return source, content
     raise FileError(f"{path}: expected a lens file, .yaml or .zmx")
 
 
@@ -199,10 +190,10 @@ def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, 
         kernel_size=changes.get("kernel_size", view.kernel_size),
     )
     if "f_number" in changes:
-        radius = zemax.stop_radius(lens, ("f_number", changes["f_number"]), view.reference)
+        radius = stop_radius(lens, ("f_number", changes["f_number"]), view.reference)
         at_stop = torch.arange(len(lens.media)) == lens.stop
         lens = replace(lens, semi_diameter=torch.where(at_stop, radius, lens.semi_diameter))
-    _check_aperture(lens, view)
+    check_speed(lens, view)
     return lens, view
 
 
@@ -216,7 +207,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
         vergence: 1 / distance of the object [1/mm].
 
     Raises:
-        InputError: a value of `changes` is invalid, or the lens forms no image or has no field.
+        InputError: a value of `changes` is invalid, or the lens has no positive focal length or no field.
     """
     changes, remarks = _validated(changes), []
     if not wavelengths and source.wavelengths_um:
@@ -228,7 +219,9 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
     first_order = paraxial(source.lens, reference)
     efl = float(first_order.efl)
     if not 0 < efl < math.inf:
-        raise InputError(f"a lens with a focal length of {efl:.4g} mm forms no image")
+        raise InputError(
+            f"focal length {efl:.4g} mm: expected a positive one; relays and afocal lenses are not supported"
+        )
     source.lens.refractive_indices(wavelengths)
     view = replace(view_of_spec(Spec()), efl=efl, wavelengths=wavelengths, object_vergence=vergence)
     if "field_of_view_deg" not in changes:

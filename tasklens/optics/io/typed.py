@@ -9,7 +9,7 @@ import torch
 from tasklens.materials.library import Library
 from tasklens.materials.material import AIR, Material
 from tasklens.optics.io.prescription import Prescription, check_order
-from tasklens.optics.io.zemax import stop_radius
+from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import positive
@@ -98,6 +98,8 @@ def _real(surface: Mapping[str, Any], key: str, where: str, default: float = 0.0
         number = float(value)
     except (TypeError, ValueError):
         number = math.nan
+    if key == "semi_diameter" and number < 0:
+        raise InputError(f"{where}: {key}: expected a radius that is not negative, got {value!r}")
     if math.isnan(number) or (math.isinf(number) and key not in ("radius", "semi_diameter")):
         raise InputError(f"{where}: {key}: expected a number, got {value!r}")
     return number

@@ -15,8 +15,8 @@ from typing import Any
 from tasklens.materials.catalogues import catalogues_in_folder, write_agf
 from tasklens.materials.library import Library
 from tasklens.materials.zemax_text import Line, decimal, read_lines
-from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io.prescription import FIELDS, Prescription, check_order
+from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.io.zemax_configurations import in_configuration
 from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_surface, check_system, check_trailer
@@ -29,26 +29,11 @@ from tasklens.optics.io.zemax_system import (
     read_unit,
     read_wavelengths,
 )
-from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError, replacing
 
 _WAVELENGTHS = 24  # the maximum in Zemax
 _ROUNDING = 1e-6  # relative rounding of radii in files
 _SMALLER = 1e-3  # relative difference of radii that is worth a remark
-
-
-def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
-    """Compute the radius of the stop [mm] whose paraxial entrance pupil has the diameter D of `aperture`.
-
-    The radius is D / (2 r), with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is
-    EFL / D.
-    """
-    semi_diameter = lens.semi_diameter.clone()
-    semi_diameter[lens.stop] = 1.0
-    first_order = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
-    kind, value = aperture
-    diameter = abs(float(first_order.efl)) / value if kind == "f_number" else value
-    return float(diameter / (2 * first_order.entrance_pupil_radius.double()))
 
 
 def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None) -> Prescription:

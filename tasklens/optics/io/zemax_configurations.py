@@ -13,9 +13,9 @@ from tasklens.runtime.files import FileError
 # Operands that change rays or their use (OpticStudio user's guide, "Multi-Configuration Operands"); others belong to
 # merit functions, or change neither.
 _OPERANDS = keywords(
-    "AFOC APDF APDX APDY APER APMN APMX APTP CADX CADY CAOR CATX CATY CATZ CBDX CBDY CBOR CBTX CBTY CBTZ CONN CROR "
-    "CRSR CRVT EDVA FLTP GLSS IGNM IGNR MABB MDPG MIND PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PRAM PRES PRWV SATP "
-    "SDIA STPS TELE TEMP THIC WAVE XFIE YFIE"
+    "AFOC APDF APDT APDX APDY APER APMN APMX APTP CADX CADY CAOR CATX CATY CATZ CBDX CBDY CBOR CBTX CBTY CBTZ CONN "
+    "CROR CRSR CRVT EDVA FLTP GLSS IGNM IGNR MABB MDPG MIND PAR1 PAR2 PAR3 PAR4 PAR5 PAR6 PAR7 PAR8 PRAM PRES PRWV "
+    "SATP SDIA STPS TELE TEMP THIC WAVE XFIE YFIE"
 )
 _WORDS = {"THIC": "DISZ", "CRVT": "CURV", "CONN": "CONI", "GLSS": "GLAS"}  # operand, and the line of its surface
 _ROUNDING = 1e-9  # relative rounding of values that are in a file twice

@@ -1,0 +1,59 @@
+"""The stop of a lens that is read: its radius from the aperture of the file, and checks of both."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+from tasklens.optics.analysis.object_points import image_scale
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import check_object
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError
+
+_FASTEST = 0.5  # F-number; a lens that obeys the sine condition is slower
+_ROUNDING = 1e-3  # relative, of a radius in a file
+
+
+def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
+    """Compute the radius of the stop [mm] whose paraxial entrance pupil has the diameter D of `aperture`.
+
+    The radius is D / (2 r), with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is
+    EFL / D.
+    """
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[lens.stop] = 1.0
+    first_order = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
+    kind, value = aperture
+    diameter = abs(float(first_order.efl)) / value if kind == "f_number" else value
+    return float(diameter / (2 * first_order.entrance_pupil_radius.double()))
+
+
+def check_radius(source: Prescription, path: Path) -> None:
+    """Check that the stop of a prescription has the radius that its aperture needs; raises FileError."""
+    if source.aperture is None or not source.wavelengths_um:
+        return
+    reference = source.wavelengths_um[source.primary or 0]
+    needed = stop_radius(source.lens, source.aperture, reference)
+    radius = float(source.lens.semi_diameter[source.lens.stop])
+    if not math.isclose(radius, needed, rel_tol=_ROUNDING):
+        kind, value = source.aperture
+        raise FileError(
+            f"{path}: aperture: {kind} = {value:g} needs a stop of {needed:.5g} mm, but its semi_diameter is "
+            f"{radius:.5g}; correct one of them"
+        )
+
+
+def check_speed(lens: Lens, view: View) -> None:
+    """Raise InputError if a near object is in the lens, or if the beam on the axis is too fast."""
+    if view.object_vergence:
+        check_object(lens, view)
+    scale = float(image_scale(lens, view)) if view.object_vergence else 1.0
+    f_number = abs(scale * float(paraxial(lens, view.reference).f_number))
+    if f_number < _FASTEST:
+        raise InputError(
+            f"F/{f_number:.2g}: faster than F/{_FASTEST}, the limit of a lens that obeys the sine condition, and of "
+            "TaskLens; correct the aperture"
+        )
