@@ -1,12 +1,14 @@
 """Changed values of a study: how they are reported, and which finished results they would overwrite."""
 
 from dataclasses import replace
+from inspect import signature
+from pkgutil import resolve_name
 
 import pytest
 from examples import changed, tiny_study, write
 from rules import job_of, rule_names, workflow
 
-from tasklens.pipeline.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal
+from tasklens.pipeline.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal, unrecorded
 from tasklens.pipeline.forecast import Durations
 from tasklens.study.loading import dump, parse, resolved
 from tasklens.study.study import Study
@@ -129,7 +131,8 @@ def test_several_changed_values_are_reported_together(find_overwrites, tmp_path)
 
 def test_what_takes_long_is_not_overwritten_without_consent():
     """All jobs with checkpoints, except images, which have no inputs, and reproductions."""
-    long = {name for name in rule_names() if workflow().get_rule(name)._restart_times}
+    functions = {name: resolve_name(workflow().get_rule(name).params.function) for name in rule_names()}
+    long = {name for name, function in functions.items() if "checkpoint" in signature(function).parameters}
     assert set(COUNTED) == long - {"images", "reproduce"}
 
 
@@ -180,11 +183,42 @@ def test_a_removed_result_does_not_hide_what_is_made_of_it(find_overwrites):
     assert find_overwrites(after, missing=missing).by_values == 6 * ("fine_tune",)
 
 
-def test_changed_code_is_reported_but_needs_no_consent(find_overwrites, tmp_path):
-    """If values are equal, every job runs for another reason, and Snakemake knows it."""
+def test_a_request_needs_no_consent(find_overwrites, tmp_path):
+    """If values and code are equal, every job runs for another reason, and Snakemake knows it."""
     overwrites = find_overwrites(base())
     assert overwrites.changes == () and overwrites.by_values == () and refusal_lines(overwrites, tmp_path) == []
     assert amount(overwrites.otherwise, Durations("tiny", str(tmp_path)), 1) == "2 lenses, 9 classifiers again"
+
+
+def test_changed_code_needs_consent(tmp_path):
+    """Of one design, after an update: its lens and what is measured of it; with a changed value, both are named."""
+    study = parse(base())
+    jobs = {label: replace(job, code="new", made_by="new") for label, job in jobs_of(study).items()}
+    label = "design/singlet-imaging1-seed0"
+    jobs[label] = replace(jobs[label], made_by="old")
+    (_, line, *_) = refusal_lines(overwritten(study, jobs), tmp_path)
+    assert line == "  changed code of TaskLens: 1 lens, 3 classifiers again"
+    write("results/tiny/study.yaml", dump(study))
+    after = parse(changed(base(), "fine_tuning.learning_rate", 5e-3))
+    jobs |= {
+        name: replace(job, code="new", made_by="new", made_with=jobs[name].settings)
+        for name, job in jobs_of(after).items()
+        if job.rule == "fine_tune"
+    }
+    (_, first, second, *_) = refusal_lines(overwritten(after, jobs), tmp_path)
+    assert first.endswith("6 classifiers again") and second == "  changed code of TaskLens: 1 lens again"
+
+
+def test_results_without_a_record_are_not_taken_for_others(tmp_path):
+    """Results that were copied without Snakemake's folder, and a changed value."""
+    study = parse(base())
+    assert unrecorded(study) is None
+    write("results/tiny/study.yaml", dump(study))
+    assert unrecorded(study) is None
+    faster = parse(changed(base(), "spec.f_number", 2.0))
+    assert "  spec.f_number: 2.8 -> 2.0\n" in str(unrecorded(faster))
+    write(".snakemake/metadata/any", "")
+    assert unrecorded(faster) is None
 
 
 def test_settings_of_the_outputs_count(tmp_path):

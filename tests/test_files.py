@@ -64,22 +64,6 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path):
     assert other.returncode == 0 and path.read_text() == "theirs" and [*tmp_path.iterdir()] == [path]
 
 
-def test_an_array_has_one_writer(tmp_path):
-    """An array resumes under one name: a second process is refused until the first has ended."""
-    path = tmp_path / "array.npy"
-    code = (
-        "import sys; from pathlib import Path; from tasklens.runtime.files import writing_array\n"
-        "with writing_array(Path(sys.argv[1]), (2,), 'uint8') as array: array[:] = 7"
-    )
-    command = [sys.executable, "-c", code, str(path)]
-    with files.writing_array(path, (2,), "uint8") as array:
-        array[:] = 5
-        refused = subprocess.run(command, capture_output=True, text=True)
-        assert refused.returncode != 0 and "another process is writing this file" in refused.stderr
-    assert files.map_array(path).tolist() == [5, 5]
-    assert subprocess.run(command).returncode == 0 and files.map_array(path).tolist() == [7, 7]
-
-
 def test_an_array_remains_if_the_user_interrupts(tmp_path):
     """A conversion of photographs resumes after Ctrl-C; after an error it starts anew."""
     for error, remains in ((KeyboardInterrupt, True), (ValueError, False)):

@@ -335,7 +335,6 @@ def test_a_rule_is_declared_in_one_piece(name):
     files |= {"optional", "drawn", "benchmarks"} if name == "report_page" else set()
     assert {*list(parameters)[1:]} - {"checkpoint"} == files
     assert all(parameter.annotation is not parameter.empty for parameter in parameters.values())
-    assert bool(rule._restart_times) == ("checkpoint" in parameters)
     for path in [*rule.output, *rule.log, rule.benchmark]:
         assert {*re.findall(r"{(\w+)", str(path))} == rule.wildcard_names
 

@@ -168,7 +168,7 @@ def make(contents) -> SimpleNamespace:
     suffixes = {"csv": "csv", "md": "md", "tex": "tex", "seeds_csv": "seeds.csv", "json": "json"}
     outputs = {name: result("tiny", f"tables/{contents.name}.{suffix}") for name, suffix in suffixes.items()}
     inputs = ([*paths.values()] for paths in (files.lenses, files.metrics, files.frozen))
-    tables.make(contents, *inputs, PAPER_VALUES, **outputs)
+    tables.make(contents, *inputs, **outputs)
     return SimpleNamespace(**outputs)
 
 

@@ -37,7 +37,7 @@ def publish_lenses(results: Path, destination: Path) -> None:
     destination.mkdir()
     for folder in lenses:
         shutil.copyfile(folder / "lens.yaml", destination / f"{folder.parent.name}.yaml")
-        for path in (*folder.glob("*.zmx"), *folder.glob("*.agf")):
+        for path in (*folder.glob("*.zmx"), *(file for file in folder.glob("*.agf") if file.stat().st_size)):
             shutil.copyfile(path, destination / path.name)
 
 

@@ -22,6 +22,7 @@ def run(
     psf: Path,
     page: Path,
     zemax: Path,
+    catalogue: Path,
     section: Path,
     spots: Path,
     psfs: Path,
@@ -43,4 +44,5 @@ def run(
     zemax_files.write(
         zemax, replace(prescription.with_system_data(lens_prescription, view), title=settings.lens, aperture=None)
     )
+    catalogue.touch()  # already written if the lens has a glass of its own
     figures.draw_parts(figures.panel(settings.lens, lens, psf), section, spots, psfs, curves)

@@ -80,7 +80,8 @@ class PlannedJob:
         outputs: its outputs that exist.
         needs: labels of the jobs that it waits for.
         settings: its settings as JSON.
-        made_with: settings that its outputs were made with; None if unknown.
+        code: digest of its code.
+        made_with, made_by: settings and digest that its outputs were made with; None if unknown.
         priority: Snakemake's priority; 0 if it does not have to run.
     """
 
@@ -90,7 +91,9 @@ class PlannedJob:
     outputs: tuple[str, ...]
     needs: tuple[str, ...]
     settings: str
+    code: str = ""
     made_with: str | None = None
+    made_by: str | None = None
     priority: float = 0.0
 
     @property
@@ -106,11 +109,13 @@ class Overwritten:
     Attributes:
         changes: changed values of the study; empty if only code or input files differ.
         by_values: rules of the jobs that a changed value repeats, directly or through their inputs.
-        otherwise: rules of the jobs that run again for another reason: code, input files, or a request.
+        by_code: rules of the other jobs that changed code repeats.
+        otherwise: rules of the jobs that run again for another reason: input files, or a request.
     """
 
     changes: tuple[Change, ...]
     by_values: tuple[str, ...]
+    by_code: tuple[str, ...]
     otherwise: tuple[str, ...]
 
 
@@ -126,15 +131,38 @@ def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
     finished_labels = {label for label, job in jobs.items() if job.outputs and job.rule in COUNTED}
     pairs = {k: (json.loads(job.made_with), json.loads(job.settings)) for k, job in jobs.items() if job.made_with}
     changed_settings = {label: pair for label, pair in pairs.items() if pair[0] != pair[1]}
-    affected_labels = finished_labels & _with_dependents(changed_settings, jobs)
+    changed_code = {label for label, job in jobs.items() if job.made_by not in (None, job.code)}
+    by_values = finished_labels & _with_dependents(changed_settings, jobs)
+    by_code = finished_labels & _with_dependents(changed_code, jobs) - by_values
+    others = finished_labels - by_values - by_code
     stored = Path("results", study.name, "study.yaml")
     diffs = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study)) if stored.exists() else []
     if not diffs:  # the results come from an earlier study of the same name
         diffs = [change for label in sorted(changed_settings) for change in changes(*changed_settings[label])]
     return Overwritten(
         tuple({str(change): change for change in diffs}.values()),
-        tuple(jobs[label].rule for label in sorted(affected_labels)),
-        tuple(jobs[label].rule for label in sorted(finished_labels - affected_labels)),
+        *(tuple(jobs[label].rule for label in sorted(group)) for group in (by_values, by_code, others)),
+    )
+
+
+def unrecorded(study: Study) -> str | None:
+    """Return the error message if results of other settings are here without Snakemake's record of their settings.
+
+    Such results were copied without `.snakemake`, and Snakemake would take them for those of the present settings.
+    """
+    stored, records = Path("results", study.name, "study.yaml"), Path(".snakemake", "metadata")
+    if not stored.exists() or (records.is_dir() and any(records.iterdir())):
+        return None
+    diffs = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study))
+    if not diffs:
+        return None
+    return "\n".join(
+        [
+            f"results/{study.name} was made with other settings, and Snakemake's record of them is not here:",
+            *(f"  {change}" for change in diffs[:_SHOWN]),
+            "Copy the folder .snakemake from where the results were made, give the study another name, or make all "
+            "results anew:  --forceall --config overwrite=true",
+        ]
     )
 
 
@@ -162,18 +190,22 @@ def _one(kind: str) -> str:
 
 
 def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: int, ranking: bool = False) -> str | None:
-    """Return the error message if changed values would overwrite finished results; otherwise None.
+    """Return the error message if changed values or code would overwrite finished results; otherwise None.
 
     Args:
         ranking: the study is that of a ranking, whose options the message names.
     """
-    if not overwrites.by_values:
+    lines = []
+    if overwrites.by_values:
+        total = amount(overwrites.by_values, durations, cores)
+        lines = [str(change) for change in overwrites.changes[:_SHOWN]]
+        if len(overwrites.changes) > _SHOWN:
+            lines.append(f"and {len(overwrites.changes) - _SHOWN} more changed values")
+        lines = [f"{lines[0]}: {total}"] if len(lines) == 1 else [*lines, f"together: {total}"]
+    if overwrites.by_code:
+        lines.append(f"changed code of TaskLens: {amount(overwrites.by_code, durations, cores)}")
+    if not lines:
         return None
-    total = amount(overwrites.by_values, durations, cores)
-    lines = [str(change) for change in overwrites.changes[:_SHOWN]]
-    if len(overwrites.changes) > _SHOWN:
-        lines.append(f"and {len(overwrites.changes) - _SHOWN} more changed values")
-    lines = [f"{lines[0]}: {total}"] if len(lines) == 1 else [*lines, f"together: {total}"]
     name = f"{study.partition('/')[0]}_2"
     keep, overwrite = (
         (f"choose another:  --name {name}", "--overwrite")
@@ -185,6 +217,11 @@ def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: in
             f"These changes would overwrite finished results of the study {study}; nothing was changed:",
             *(f"  {line}" for line in lines),
             f"Keep them, and {keep}",
+            *(
+                ["Or take them as results of the present code:  --rerun-triggers mtime"]
+                if overwrites.by_code and not ranking
+                else []
+            ),
             f"Or overwrite them:  {overwrite}",
         ]
     )

@@ -1,13 +1,14 @@
 """Digest of the code of a job: Snakemake reruns the jobs whose digest changed.
 
 It covers the module of the job's function and all our modules that it imports, directly or indirectly, as syntax trees
-without docstrings, so that editing comments or docstrings does not change it, and templates of the report. It leaves
-out the package `tasklens.study`, because a job's settings contain everything that the job reads of a study, also the
-coefficients of its plastics.
+without docstrings, so that editing comments or docstrings does not change it, and the templates and tables beside them.
+It leaves out the package `tasklens.study`, because a job's settings contain everything that the job reads of a study,
+also the coefficients of its plastics.
 """
 
 import ast
 import hashlib
+import re
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +17,8 @@ SNAKEFILE = ROOT / "Snakefile"
 NOT_INSTALLED = "the workflow is not installed: clone the repository, and install it by `pip install -e .`"
 PACKAGES = ("tasklens", "restoration")
 SETTINGS = "tasklens.study"
-_TEMPLATES = (".html", ".css", ".js")
+_TEMPLATES = (".html", ".css", ".js", ".csv")
+_LENGTH = 16  # of a digest [hexadecimal digits]
 
 
 def module_path(module: str) -> Path | None:
@@ -56,13 +58,26 @@ def parse(module: str) -> ast.Module:
 def code_and_imports(module: str) -> tuple[str, set[str]]:
     """Return the code of one of our modules without docstrings and comments, and our modules that it imports.
 
-    The code includes the templates beside the module that it names.
+    The code includes the templates and tables beside the module that it names.
     """
     tree, path = parse(module), module_path(module)
     assert path is not None
     texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     named = sorted(text for text in texts if text.endswith(_TEMPLATES) and (path.parent / text).is_file())
-    return "\n".join([ast.dump(tree), *((path.parent / name).read_text() for name in named)]), imports(tree)
+    return "\n".join([repr(_shape(tree)), *((path.parent / name).read_text() for name in named)]), imports(tree)
+
+
+def _shape(node: object) -> object:
+    """Return a syntax tree as nested lists without empty fields, which differ between versions of Python."""
+    if isinstance(node, ast.AST):
+        fields = [[name, _shape(value)] for name, value in ast.iter_fields(node) if value not in (None, [])]
+        return [type(node).__name__, *fields]
+    return [_shape(item) for item in node] if isinstance(node, list) else repr(node)
+
+
+def is_digest(text: str) -> bool:
+    """Return whether a text looks like a digest."""
+    return re.fullmatch(f"[0-9a-f]{{{_LENGTH}}}", text) is not None
 
 
 def reached_modules(module: str) -> set[str]:
@@ -81,4 +96,4 @@ def reached_modules(module: str) -> set[str]:
 def code_digest(function: str) -> str:
     """Compute the digest of the code that the function `package.module.function` may run."""
     trees = (code_and_imports(module)[0] for module in sorted(reached_modules(function.rpartition(".")[0])))
-    return hashlib.sha256("\n".join([function, *trees]).encode()).hexdigest()[:16]
+    return hashlib.sha256("\n".join([function, *trees]).encode()).hexdigest()[:_LENGTH]

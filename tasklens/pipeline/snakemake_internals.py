@@ -1,4 +1,4 @@
-"""Uses of Snakemake beyond its documented interface; no other module has any.
+"""Uses of the objects of Snakemake beyond its documented interface; no other module has any.
 
 The argument `workflow` is the variable of that name in a Snakefile.
 """
@@ -16,6 +16,7 @@ from snakemake.logging import logger
 from snakemake.settings.types import ExecMode
 
 from tasklens.pipeline.changes import PlannedJob
+from tasklens.pipeline.digest import is_digest
 from tasklens.runtime.job import place
 
 _DEFAULT_HANDLER = "DefaultStreamHandler"  # of the terminal
@@ -60,7 +61,8 @@ def planned_jobs(workflow: Any) -> Iterator[PlannedJob]:
         if not job.log:
             continue
         incomplete = workflow.async_run(persistence.incomplete(job))  # outputs of killed jobs
-        records = (ast.literal_eval(text) for path in job.output for text in persistence.params(path) or ())
+        records = [ast.literal_eval(text) for path in job.output for text in persistence.params(path) or ()]
+        texts = [text for text in records if isinstance(text, str)]
         folder, label = place(Path(job.log[0]))
         yield PlannedJob(
             study=str(folder.relative_to("results")),
@@ -69,7 +71,9 @@ def planned_jobs(workflow: Any) -> Iterator[PlannedJob]:
             outputs=tuple(str(path) for path in job.output if path not in incomplete and os.path.exists(path)),
             needs=tuple(place(Path(other.log[0]))[1] for other in dag.dependencies[job] if other.log),
             settings=str(job.params.settings),
-            made_with=next((text for text in records if isinstance(text, str) and text.startswith("{")), None),
+            code=job.params.code,
+            made_with=next((text for text in texts if text.startswith("{")), None),
+            made_by=next((text for text in texts if is_digest(text)), None),
             priority=job.priority if dag.needrun(job) else 0.0,
         )
 

@@ -127,7 +127,6 @@ def make(
     lenses: Sequence[Path],
     metrics: Sequence[Path],
     frozen: Sequence[Path],
-    paper: Path,
     csv: Path,
     md: Path,
     tex: Path,
@@ -138,9 +137,8 @@ def make(
 
     Args:
         lenses, metrics, frozen: files of the keys of `contents`.
-        paper: the values of the paper.
     """
-    published = pandas.read_csv(paper, keep_default_na=False)
+    published = pandas.read_csv(Path(__file__).with_name("paper.csv"), keep_default_na=False)
     published["value"] = pandas.to_numeric(published["value"])
     measurements = Measurements(
         dict(zip(contents.lens_keys, lenses, strict=True)),

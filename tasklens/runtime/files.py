@@ -207,17 +207,17 @@ def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: M
 def writing_array(
     path: Path, shape: tuple[int, ...], dtype: str, begun: bool = False
 ) -> Iterator["numpy.memmap[Any, Any]"]:
-    """Yield a writable memory map of a .npy file, for arrays larger than memory.
+    """Yield a writable memory map of a .npy file, for arrays larger than memory; only one process may write a file.
 
     Args:
         begun: continue the temporary file of a killed process, and keep its values.
 
     Raises:
-        FileError: before the block: too little disk space, or another process is writing the file.
+        FileError: before the block: too little disk space.
     """
     import numpy
 
-    with _alone(path), replacing(path, resumable_of(path)) as temporary:
+    with replacing(path, resumable_of(path)) as temporary:
         if not begun:
             size = numpy.dtype(dtype).itemsize * math.prod(shape)
             free = shutil.disk_usage(temporary.parent).free  # on a full disk, writing to the map kills the process
@@ -226,23 +226,6 @@ def writing_array(
         array = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
         yield array
         array.flush()
-
-
-@contextmanager
-def _alone(path: Path) -> Iterator[None]:
-    """Let no other process write `path` while the block runs; raises FileError if one does."""
-    from filelock import FileLock
-
-    from tasklens.runtime.locks import acquire
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    lock = FileLock(path.with_name(f".{path.name.lstrip('.')}.lock"))
-    if not acquire(lock):
-        raise FileError(f"{path}: another process is writing this file; wait for it, or stop it")
-    try:
-        yield
-    finally:
-        lock.release()
 
 
 def map_array(path: Path) -> "torch.Tensor":

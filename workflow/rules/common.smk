@@ -5,7 +5,7 @@ from inspect import signature
 
 from snakemake.exceptions import WorkflowError
 
-from tasklens.pipeline.digest import ROOT, code_digest
+from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import durations_of
 from tasklens.study import built_lenses, job_settings, names, report_jobs, task_jobs
 from tasklens.study import claims as paper_claims
@@ -40,9 +40,6 @@ try:
     POINTS = loading.at_points(STUDY)  # several if there is a sweep
 except StudyError as error:
     raise WorkflowError(str(error)) from None
-
-
-PAPER_VALUES = ROOT / "tasklens" / "report" / "paper.csv"
 
 
 @cache
@@ -142,6 +139,11 @@ def early(rank=0):
         return first - lenses[wildcards.lens] if wildcards.lens in lenses else rank
 
     return priority
+
+
+def page_priority(wildcards):
+    """Return the priority of a page: that of a part is early; that of a study is last, to show all tables of the run."""
+    return early()(wildcards) if wildcards.study != whole_study_name(wildcards.study) else -1
 
 
 wildcard_constraints:

@@ -19,7 +19,6 @@ rule design:
     benchmark:
         "results/{study}/benchmarks/design/{lens}-seed{seed}.tsv"
     priority: early(0.5)  # most jobs wait for designs, which include the longest jobs
-    retries: 1
     resources:
         **needs("design") | {"gpu": lambda w: int(GPUS and study_of(w).lens(w.lens).supervised)},
     params:

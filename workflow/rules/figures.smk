@@ -8,7 +8,8 @@ rule certificate:
         psf=psf,
     output:
         page="results/{study}/lenses/{lens}/seed{seed}/certificate.md",
-        zemax="results/{study}/lenses/{lens}/seed{seed}/{lens}.zmx",  # its catalogue has the same name
+        zemax="results/{study}/lenses/{lens}/seed{seed}/{lens}.zmx",
+        catalogue="results/{study}/lenses/{lens}/seed{seed}/{lens}.agf",  # empty if makers' catalogues have its glasses
         section="results/{study}/lenses/{lens}/seed{seed}/section.svg",
         spots="results/{study}/lenses/{lens}/seed{seed}/spots.webp",
         psfs="results/{study}/lenses/{lens}/seed{seed}/psfs.webp",

@@ -15,8 +15,7 @@ rule images:
     benchmark:
         "results/{study}/benchmarks/images.tsv"
     priority: early(1)  # it takes all cores, and nearly all other jobs wait for it
-    retries: 1
-    threads: 8
+    threads: lambda w: 8 if study_of(w).images.folder else 1  # that decode photographs
     resources:
         **needs("images"),
     params:
@@ -43,7 +42,6 @@ rule reference:
     benchmark:
         "results/{study}/benchmarks/reference/{classifier}.tsv"
     priority: early()
-    retries: 1
     resources:
         **needs("reference", gpu=1),
     params:

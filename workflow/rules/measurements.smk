@@ -20,7 +20,6 @@ rule fine_tune:
     benchmark:
         "results/{study}/benchmarks/fine_tune/{lens}-{measured_name}-seed{seed}.tsv"
     priority: early()
-    retries: 1
     threads: processes
     resources:
         **needs("fine_tune") | {"gpu": lambda w: processes(w) if GPUS else 0},
@@ -45,7 +44,6 @@ rule reproduce:
         "results/{study}/logs/reproduce/{lens}-{measured_name}-seed{seed}.log",
     benchmark:
         "results/{study}/benchmarks/reproduce/{lens}-{measured_name}-seed{seed}.tsv"
-    retries: 1
     resources:
         **needs("reproduce", gpu=1),
     params:

@@ -15,7 +15,6 @@ rule restore:
     benchmark:
         "results/{study}/benchmarks/restore/{lens}-seed{seed}.tsv"
     priority: 0.5  # fine-tuning on restored captures, an equally long job, waits for it
-    retries: 1
     resources:
         **needs("restore", gpu=1),
     params:

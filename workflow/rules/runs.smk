@@ -33,7 +33,7 @@ def overwritten(planned):
 
 
 def refusals(overwritten):
-    """Return why this run must not start (changed values would overwrite finished results), or an empty text."""
+    """Return why this run must not start (changed values or code would overwrite finished results), or an empty text."""
     cores = snakemake_internals.cores(workflow)
     texts = [
         changes.refusal(results, name, durations_in(name), cores, bool(study_named(name).ranking.titles))
@@ -70,6 +70,9 @@ def check_in_own_process(study, options):
 
 
 if snakemake_internals.is_main(workflow):
+    for point in [] if OVERWRITE else POINTS:
+        if reason := changes.unrecorded(point):
+            raise WorkflowError(reason)
     if snakemake_internals.is_dry_run(workflow):
         snakemake_internals.after_dry_run(words_of_dry_run)
     else:  # these imports are slow, and jobs on a cluster do not need them
@@ -90,7 +93,7 @@ onstart:
     for name, jobs in planned.items():
         if results[name].otherwise:
             amount = changes.amount(results[name].otherwise, durations_in(name), cores)
-            print(f"Changed code or input files: {amount}")
+            print(f"Changed input files, or requested: {amount}")
         if name != whole_study_name(name):
             continue  # pages of parts take only seconds
         print(durations_in(name).forecast([job.rule for job in jobs.values()], cores))

@@ -7,7 +7,6 @@ rule table:
         lenses=lambda w: paths_of(rules.design.output.lens, whole_study_of(w), table_of(w).lens_keys),
         metrics=lambda w: paths_of(rules.fine_tune.output.metrics, whole_study_of(w), table_of(w).measured_keys),
         frozen=lambda w: paths_of(rules.fine_tune.output.frozen, whole_study_of(w), table_of(w).frozen_keys),
-        paper=str(PAPER_VALUES),
     output:
         csv=report(
             "results/{study}/tables/{table}.csv",
@@ -160,6 +159,7 @@ rule effort_table:
     benchmark:
         "results/{study}/benchmarks/effort_table.tsv"
     priority: early()
+    localrule: True
     resources:
         **needs("effort_table"),
     params:
@@ -246,6 +246,7 @@ rule report_page:
         histories=shown(rules.design.output.history),
         pages=shown(rules.certificate.output.page),
         zemax=shown(rules.certificate.output.zemax),
+        catalogues=shown(rules.certificate.output.catalogue),
         sections=shown(rules.certificate.output.section),
         spots=shown(rules.certificate.output.spots),
         psfs=shown(rules.certificate.output.psfs),
@@ -267,7 +268,7 @@ rule report_page:
         "results/{study}/logs/report_page.log",
     benchmark:
         "results/{study}/benchmarks/report_page.tsv"
-    priority: early()
+    priority: page_priority
     resources:
         **needs("report_page"),
     params:
@@ -289,6 +290,7 @@ rule sweep_table:
         "results/{study}/logs/sweep_table.log",
     benchmark:
         "results/{study}/benchmarks/sweep_table.tsv"
+    localrule: True
     resources:
         **needs("sweep_table"),
     params:
@@ -311,6 +313,7 @@ rule verify:
         f"results/{STUDY.name}/logs/verify.log",
     benchmark:
         f"results/{STUDY.name}/benchmarks/verify.tsv"
+    retries: 0
     localrule: True
     resources:
         **needs("verify"),

@@ -43,27 +43,6 @@ rule table4:
     localrule: True
 
 
-rule backbones:
-    """Other classifiers (table 2), the ablation of the paper's section 5.1."""
-    input:
-        rules.table2.input,
-    localrule: True
-
-
-rule end_to_end:
-    """End-to-end design (table 3), the ablation of the paper's section 5.2."""
-    input:
-        rules.table3.input,
-    localrule: True
-
-
-rule restoration:
-    """Image restoration (table 4), the ablation of the paper's section 5.3."""
-    input:
-        rules.table4.input,
-    localrule: True
-
-
 rule verdicts:
     """Each claim of the paper: difference, interval, and whether it holds."""
     input:

@@ -35,7 +35,6 @@ rule task_reference:
         "results/{study}/logs/task_reference/{task}.log",
     benchmark:
         "results/{study}/benchmarks/task_reference/{task}.tsv"
-    retries: 1
     resources:
         **needs("task_reference", gpu=1),
     params:
@@ -59,7 +58,6 @@ rule task_fine_tune:
         "results/{study}/logs/task_fine_tune/{lens}-{task}-seed{seed}.log",
     benchmark:
         "results/{study}/benchmarks/task_fine_tune/{lens}-{task}-seed{seed}.tsv"
-    retries: 1
     resources:
         **needs("task_fine_tune", gpu=1),
     params:

@@ -17,7 +17,6 @@ rule production:
         "results/{study}/logs/production/{lens}-seed{seed}.log",
     benchmark:
         "results/{study}/benchmarks/production/{lens}-seed{seed}.tsv"
-    retries: 1
     resources:
         **needs("production", gpu=1),
     params:

@@ -48,6 +48,7 @@ def make(
     histories: Sequence[Path],
     pages: Sequence[Path],
     zemax: Sequence[Path],
+    catalogues: Sequence[Path],
     sections: Sequence[Path],
     spots: Sequence[Path],
     psfs: Sequence[Path],
@@ -65,7 +66,8 @@ def make(
 
     Args:
         table_files, seeds_files, provenance: files of `settings.tables`.
-        lenses, histories, pages, zemax, sections, spots, psfs, curves: files of the lenses in `settings.elements`.
+        lenses, histories, pages, zemax, catalogues, sections, spots, psfs, curves: files of the lenses in
+            `settings.elements`.
         restorations: histories of the networks of `settings.restored`.
         optional, drawn: tables and figures that are shown if their files exist.
         benchmarks: folder of Snakemake's benchmarks.
@@ -89,6 +91,7 @@ def make(
         histories=by_lens(histories),
         pages=by_lens(pages),
         zemax=by_lens(zemax),
+        catalogues=by_lens(catalogues),
         pictures={
             name: by_lens(paths)
             for name, paths in (("section", sections), ("spots", spots), ("psfs", psfs), ("curves", curves))

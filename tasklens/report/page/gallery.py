@@ -76,9 +76,9 @@ def _entry(lens: str, settings: ReportJob, files: PageFiles, table1: pandas.Data
 
 
 def _files(files: PageFiles, lens: str) -> list[Path]:
-    """Return the files of a lens: YAML, Zemax, and the glass catalogue of the Zemax file if it exists."""
-    catalogue = files.zemax[lens].with_suffix(".agf")
-    return [files.lenses[lens], files.zemax[lens], *([catalogue] if catalogue.exists() else [])]
+    """Return the files of a lens: YAML, Zemax, and the glass catalogue of the Zemax file if it needs one."""
+    catalogue = files.catalogues[lens]
+    return [files.lenses[lens], files.zemax[lens], *([catalogue] if catalogue.stat().st_size else [])]
 
 
 def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | None) -> list[tuple[str, str]]:

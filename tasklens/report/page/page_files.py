@@ -27,6 +27,7 @@ class PageFiles:
     histories: Mapping[str, Path]
     pages: Mapping[str, Path]
     zemax: Mapping[str, Path]
+    catalogues: Mapping[str, Path]
     pictures: Mapping[str, Mapping[str, Path]]
     restorations: Mapping[str, Path]
     captures: Path
