@@ -16,6 +16,7 @@ from scipy.fft import next_fast_len
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from tasklens.runtime.errors import InputError
 from tasklens.study.settings import CaptureSettings, SensorSettings
 
 _IMAGES = 16  # images per block on a CPU
@@ -135,11 +136,14 @@ class PsfCamera:
     """A renderer of captures through a fixed set of PSFs, whose spectra are cached.
 
     Args:
-        psf: (F, 3, K, K) one PSF per field and colour, K odd.
+        psf: (F, 3, K, K) one PSF per field and colour (red, green, blue), K odd.
         outside_window: "veil" as above, or "renormalise": PSFs of unit energy, without light outside the window.
         colour: convolution of sRGB values ("srgb", our interpretation of the paper) or of "linear" light.
         sensor: sensor; None: no noise and no quantisation.
         illumination: (F,) relative illumination of the fields, for a sensor; None: 1 everywhere.
+
+    Raises:
+        InputError: PSFs of another shape.
     """
 
     def __init__(
@@ -150,6 +154,11 @@ class PsfCamera:
         sensor: SensorSettings | None = None,
         illumination: Tensor | None = None,
     ):
+        if psf.dim() != 4 or psf.shape[1] != 3 or psf.shape[-1] != psf.shape[-2] or psf.shape[-1] % 2 == 0:
+            raise InputError(
+                f"psf: expected (fields, 3 colours, K, K) with an odd K, got {tuple(psf.shape)}; `view.in_colours()` "
+                "has red, green and blue"
+            )
         if outside_window == "renormalise":
             psf = psf / psf.sum((-2, -1), keepdim=True).clamp(min=1e-12)
         self.psf = psf.float()

@@ -138,3 +138,34 @@ def test_noise_and_wrong_images(lens, images):
     with pytest.raises(InputError, match="expected srgb or linear, got 'rgb'"):
         tasklens.Camera(*lens, colour="rgb")
     assert f64(camera.view.fields).shape == (9, 2)
+
+
+def test_a_state_belongs_to_its_initial_lens(lens, images):
+    """Parameters are scaled by the initial lens: a camera built from the trained lens refuses them."""
+    trained = tasklens.Camera(*lens, rays=64)
+    with torch.no_grad():
+        trained.variables["curvature"] += 0.1
+    state = trained.state_dict()
+    again = tasklens.Camera(*lens, rays=64)
+    again.load_state_dict(state)
+    assert torch.equal(again.lens.curvature, trained.lens.curvature)
+    other = tasklens.Camera(trained.lens.detached(), lens[1], rays=64)
+    with pytest.raises(InputError, match="load_state_dict: the state is that of a camera with another initial lens"):
+        other.load_state_dict(state)
+
+
+def test_half_precision_leaves_the_lens_alone(lens, images):
+    """Captures have the type of the images; the lens keeps its double precision."""
+    camera = tasklens.Camera(*lens, rays=64)
+    before = camera.lens.curvature.detach().clone()
+    nn.Sequential(camera, nn.Conv2d(3, 1, 3)).bfloat16()(images.bfloat16())
+    assert torch.equal(camera.lens.curvature, before)
+    assert camera(images.bfloat16()).dtype == camera.all_fields(images.bfloat16()).dtype == torch.bfloat16
+
+
+def test_a_diverged_lens_is_reported(lens, images):
+    camera = tasklens.Camera(*lens, rays=64)
+    with torch.no_grad():
+        camera.variables["curvature"] *= torch.nan
+    with pytest.raises(InputError, match="curvature of the lens is not finite: the training diverged"):
+        camera(images)

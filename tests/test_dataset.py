@@ -126,6 +126,8 @@ def test_folder_of_photographs(tmp_path):
         greys = part.images[:, 0, 0, 0].long()
         assert torch.equal((greys > 100).long(), part.labels), name
         assert ((greys % 10 == 1) == (name == "test")).all()
+        files = json.loads((tmp_path / f"{name}.json").read_text())["files"]
+        assert [Image.open(file).getpixel((0, 0))[0] for file in files] == greys.tolist()
     assert not as_set(splits["train"]) & as_set(splits["minival"])
 
 

@@ -14,6 +14,7 @@ import torch
 from examples import difference
 
 import tasklens
+from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Melt
 from tasklens.runtime.errors import InputError
@@ -290,7 +291,19 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
         (lambda lens, view: tasklens.Camera(lens, view)(255 * IMAGE[None]), r"values in \[0, 1\], got 127"),
         (lambda lens, view: tasklens.rank([(lens, view)], [(IMAGE, 0)], NETWORK), "expected lenses by name"),
         (lambda lens, view: tasklens.rank({"a": (lens, view)}, [(IMAGE, -1)], NETWORK), "numbers of classes"),
-        (lambda lens, view: tasklens.design_lens("spot", start=(lens, view)), "start: expected the path"),
+        (
+            lambda lens, view: tasklens.design_lens("spot", start=lens),
+            "start: expected the path of a lens file, or a lens",
+        ),
+        (lambda lens, view: tasklens.design_lens("spot", loss=torch.dist), "loss: only with a `network`"),
+        (
+            lambda lens, view: tasklens.save_lens("a.yaml", view, lens),
+            "save_lens: expected a path, a lens and its view",
+        ),
+        (lambda lens, view: tasklens.rank({"a": "a.zmx"}, [(IMAGE, 0)], NETWORK), "expected lenses by name"),
+        (lambda lens, view: PsfCamera(tasklens.psf(lens, replace(view, wavelengths=(0.5,)))), "3 colours"),
+        (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None], [0.5]), "an index from 0 to 8"),
+        (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None, :, :8, :8]), "expected more than 25 pixels"),
         (lambda lens, view: tasklens.design_lens("spot", free={"curvature": None}), "free: only with `start`"),
     ],
 )
@@ -342,3 +355,21 @@ def test_a_design_in_a_notebook():
     assert notes["figures"]["efl_mm"] == pytest.approx(tasklens.analyse(lens, view)["efl_mm"], rel=1e-12)
     with pytest.raises(InputError, match=r"f_numbre: unknown keyword; did you mean f_number\?"):
         tasklens.design_lens("spot", ["COC"], f_numbre=2)
+
+
+def test_a_lens_that_diverged_is_not_written(tmp_path):
+    lens, view = tasklens.load_lens(LENS)
+    broken = replace(lens, curvature=lens.curvature * torch.nan)
+    with pytest.raises(InputError, match="curvature of the lens is not finite; nothing was written"):
+        tasklens.save_lens(tmp_path / "lens.yaml", broken, view)
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_design_starts_from_a_lens_in_memory(tmp_path):
+    """The same as from its file."""
+    lens, view = tasklens.load_lens(LENS)
+    tasklens.save_lens(tmp_path / "lens.yaml", lens, view)
+    settings = {"descents": {"0": {"steps": 2}}}
+    first, _, _ = tasklens.design_lens("spot", start=(lens, view), settings=settings)
+    second, _, _ = tasklens.design_lens("spot", start=tmp_path / "lens.yaml", settings=settings)
+    assert torch.equal(first.curvature, second.curvature) and not torch.equal(first.curvature, lens.curvature)

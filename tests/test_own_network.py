@@ -5,7 +5,8 @@ import timm
 import torch
 from examples import random_images, small_network
 from torch import nn
-from torch.nn.functional import cross_entropy
+from torch.nn.functional import cross_entropy, mse_loss
+from torch.utils.data import DataLoader, Subset
 
 import tasklens
 from tasklens.design.criteria import TaskLoss
@@ -13,7 +14,7 @@ from tasklens.design.single import BASELINES, designs
 from tasklens.design.supervision import loss_at_psf
 from tasklens.design.supervisors import UserTask
 from tasklens.notebook.verdict import verdict
-from tasklens.recognition import classifiers
+from tasklens.recognition import classifiers, user_images
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.sharp import check_accuracy
 from tasklens.recognition.training import fit
@@ -128,7 +129,7 @@ def test_labels_may_be_tensors(images):
         (
             nn.Sequential(nn.Flatten(), nn.Linear(7, 3)),
             None,
-            r"network: fails for images \(2, 3, 32, 32\): .*mat1 and mat2",
+            r"network: fails for images \(2, 3, 32, 32\) of torch.float32: .*mat1 and mat2",
         ),
         (nn.Flatten().forward, None, "network: expected a torch.nn.Module, got method"),
         (nn.Flatten(), lambda answer, labels: answer, r"loss: expected one number or one for each image, got a tensor"),
@@ -148,6 +149,41 @@ def test_labels_may_be_tensors(images):
 def test_what_cannot_be_used_is_refused_before_the_first_step(images, network, loss, words):
     with pytest.raises(InputError, match=words):
         tasklens.design_lens("task", ["COC"], images=images, network=network, loss=loss, settings=QUICK, **SPEC)
+
+
+def test_labels_that_are_images_are_not_augmented(images):
+    """Augmentation would move the image and not its mask."""
+    pairs_of_masks = [(image.float() / 255, image[:1].float()) for image in images.images[:12]]
+    options = {"images": pairs_of_masks, "network": nn.Conv2d(3, 1, 1), "loss": mse_loss, **SPEC}
+    with pytest.raises(InputError, match="augment: it shifts and turns images, but not labels"):
+        tasklens.design_lens("task", ["COC"], settings=QUICK | {"augment": True}, **options)
+    part = {"steps": 1, "pixels": [5, 1], "size": 24}
+    with pytest.raises(InputError, match="size: labels of images"):
+        tasklens.design_lens("task", ["COC"], settings=PLATES | {"descents": [part]}, **options)
+
+
+def test_a_part_of_a_data_set_has_its_classes(images):
+    """torch's `Subset`, in which a class has no image; a network with more outputs than classes is accepted."""
+
+    class Data(list):
+        classes = ("a", "b", "c")
+
+    part = Subset(Data(pair for pair in pairs(images) if pair[1] < 2), range(20))
+    assert user_images.of_pairs(part).classes == Data.classes and len(user_images.of_pairs(part, 7)) == 7
+    with pytest.raises(InputError, match="got a DataLoader; give its"):
+        user_images.of_pairs(DataLoader(part))
+    classifiers.check_logits(torch.rand(2, 5, requires_grad=True), 2, 3, exactly=False)
+
+
+def test_a_timm_network_says_how_it_normalises(images, capsys):
+    """And stays as it is."""
+    network = timm.create_model("test_resnet", num_classes=3)
+    strides = [parameter.stride() for parameter in network.parameters()]
+    classifier = classifiers.of_user(network)
+    assert "normalised by the network's pretrained_cfg, with mean [0.5, 0.5, 0.5]" in capsys.readouterr().err
+    assert [parameter.stride() for parameter in network.parameters()] == strides
+    classifiers.of_user(nn.Sequential(network))
+    assert float(classifier.mean[0]) == 0.5 and capsys.readouterr().err == ""
 
 
 def test_wrong_pairs_are_refused(network):

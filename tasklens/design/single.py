@@ -14,8 +14,10 @@ from torch import nn
 from tasklens.design import from_lens, methods, substitution
 from tasklens.design.supervisors import Designs, Loss, Supervisors, UserTask, supervisors
 from tasklens.materials.library import user_files
+from tasklens.optics.analysis.datasheet import spec_of
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import lens_files
+from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
@@ -61,10 +63,12 @@ def design_lens(
             default rendered textures.
         size: side of the photographs [pixels].
         classifier: the network, such as {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}.
-        network: trained torch.nn.Module instead of `classifier`, from images (B, 3, H, W) in [0, 1] to logits.
+        network: trained torch.nn.Module instead of `classifier`, from images (B, 3, H, W) in [0, 1] to logits. The
+            images of a timm network are normalised as its `pretrained_cfg` says. It stays as it is: joint and
+            end_to_end train a copy, which is discarded; train yours on captures of the lens (`tasklens.Camera`).
         loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image.
-        start: file of a lens to improve (.zmx, lens.yaml), instead of `elements`. Its glasses stay, and limits that it
-            violates are relaxed to its own values.
+        start: file of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
+            stay, and limits that it violates are relaxed to its own values.
         free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
             None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.
         f_number, field_of_view_deg, diagonal_mm, pixel_pitch_um, kernel_size, wavelengths_um, aspect: specification;
@@ -82,7 +86,8 @@ def design_lens(
         raise InputError(f"{unknown[0]}: unknown keyword{suggestion(unknown[0], keywords)}")
 
     def warn(remark: str) -> None:
-        warnings.warn(f"{settings['start']}: {remark}", stacklevel=5)
+        where = f"{settings['start']}: " if isinstance(settings["start"], str | Path) else ""
+        warnings.warn(f"{where}{remark}", stacklevel=5)
 
     result = designs(method, elements, remark=warn, **settings)
     return result.lens, result.view, result.notes
@@ -101,7 +106,7 @@ def designs(
     classifier: Mapping[str, Any] | None = None,
     network: nn.Module | None = None,
     loss: Loss | None = None,
-    start: str | Path | None = None,
+    start: str | Path | tuple[Lens, View] | None = None,
     free: Mapping[str, Sequence[int] | None] | None = None,
     baselines: Sequence[str] = (),
     remark: Callable[[str], None] = warnings.warn,
@@ -115,16 +120,17 @@ def designs(
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
     method = method or ("least_squares" if start is None else "spot")
+    if loss is not None and network is None and classifier is None:
+        raise InputError("loss: only with a `network`; omit it, or give one")
     section, dataset = _images(images, size, held_out=bool(baselines))
     user = Supervisors(dataset, network, None if loss is None else UserTask(loss))
     files = [str(path) for path in materials]
     if start is not None:
-        if not isinstance(start, str | Path):
-            raise InputError("start: expected the path of a lens file; `tasklens.save_lens` writes one")
-        file = lens_files.read(Path(start), [*map(Path, materials), *user_files()], **spec)
+        file = _start(start, [*map(Path, materials), *user_files()], spec)
         options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
         result = from_lens.design(file, method, free, *options)
-        result.notes["origin"]["start"] = str(Path(start))
+        if isinstance(start, str | Path):
+            result.notes["origin"]["start"] = str(Path(start))
         return replace(result, prescription=_prescription(file.prescription, result.lens, result.view, set(spec)))
     if free is not None:
         raise InputError("free: only with `start`, the file of a lens")
@@ -177,6 +183,19 @@ def designs(
     return Designs(named, view, notes, supervision, prescription)
 
 
+def _start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> LensFile:
+    """Return the lens that a design starts from: a file, or a lens and its view; raises InputError."""
+    if isinstance(start, str | Path):
+        return lens_files.read(Path(start), catalogues, **spec)
+    if not (isinstance(start, tuple) and [type(part) for part in start] == [Lens, View]):
+        raise InputError("start: expected the path of a lens file, or a lens and its view, such as `load_lens` returns")
+    lens, view = start
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder, "lens.yaml")
+        lens_files.write(path, with_system_data(Prescription(lens.detached()), view), {"spec": spec_of(view)})
+        return lens_files.read(path, catalogues, **spec)
+
+
 def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
     """Return `source` with the designed lens, without data that the keywords `changed` replace."""
     if changed & {"field_of_view_deg", "object_distance_mm"}:
@@ -197,7 +216,7 @@ def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | No
     if images is None:
         return None, None
     if not isinstance(images, str | Path):
-        dataset = user_images.of_pairs(images)
+        dataset = user_images.of_pairs(images, _IMAGES)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
     return {"folder": str(images), "size": size, "train": _train(Path(images), held_out), "minival": 2}, None

@@ -1,5 +1,6 @@
 """Images and network that supervise the designs of a study, or of a user in Python."""
 
+import copy
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -111,12 +112,18 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     if not classified or network is None:
         return Supervisors(images)
     if user.network is not None and (user.task is None or hasattr(network, "pretrained_cfg")):
-        network = classifiers.Classifier(network)  # adds the normalisation of a timm network
+        network = classifiers.of_user(network)
+    elif user.network is not None:
+        network = copy.deepcopy(network)
     network = network.to(device)
     if user.network is not None:
         _check(network, images, user.task)
     if isinstance(user.task, UserTask):
         parts = [part for entry in entries for part in entry.descents if part.criterion == "task"]
+        if images.labels.dim() > 1 and any(entry.augmented for entry in entries if entry.classified):
+            raise InputError(
+                "augment: it shifts and turns images, but not labels such as masks; give settings={'augment': False}"
+            )
         _check_settings(parts, user.task, network, images)
     if user.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
@@ -137,6 +144,8 @@ def _check_settings(
     parts: Sequence[DescentSettings], task: UserTask, network: nn.Module, dataset: ImageDataset
 ) -> None:
     """Check that a user's loss can have the settings of the descents by it; raises InputError."""
+    if dataset.labels.dim() > 1 and any(part.size is not None for part in parts):
+        raise InputError("size: labels of images, such as masks, keep their size; omit it")
     if any(part.temperature != 1 for part in parts):
         raise InputError("temperature: only for the loss of a classifier; omit it if you give a `loss`")
     if any(part.corner_weight != 1 for part in parts):
@@ -153,17 +162,17 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
 
     images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
     images.requires_grad_()
-    frozen_network = frozen(network, dataset.images)
     if task is None and not dataset.classes:
         raise InputError(
             "images: labels are not numbers of classes; give a `loss` of the network's output and the labels"
         )
     try:
+        frozen_network = frozen(network, images.detach())
         answer = frozen_network(images)
     except Exception as error:  # of any layer
-        raise InputError(f"network: fails for images {tuple(images.shape)}: {error}") from error
+        raise InputError(f"network: fails for images {tuple(images.shape)} of {images.dtype}: {error}") from error
     if task is None:
-        check_logits(answer, len(images), len(dataset.classes))
+        check_logits(answer, len(images), len(dataset.classes), exactly=False)
         return
     loss = task.loss(frozen_network, images, labels, torch.zeros(len(images), dtype=torch.bool))
     if not (loss.numel() == 1 and loss.is_floating_point() and bool(loss.isfinite())):

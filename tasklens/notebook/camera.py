@@ -1,6 +1,6 @@
 """A lens and a sensor in front of a network, for a user's own training loop."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import torch
@@ -82,6 +82,8 @@ class Camera(nn.Module):
                 self._scales[name] = scales.get(name, torch.ones_like(values))
                 self._free[name] = torch.tensor([surface in surfaces for surface in refracting])
                 self.variables[name] = nn.Parameter(values * self._scales[name])
+        numbers = [*self._variables.values().values(), *self._scales.values(), *self._free.values()]
+        self._start = torch.cat([values.detach().double().flatten() for values in numbers])
 
     @property
     def lens(self) -> Lens:
@@ -92,24 +94,53 @@ class Camera(nn.Module):
             values[name] = torch.where(self._free[name], value, initial[name])
         return self._variables.assemble(values)
 
+    def get_extra_state(self) -> Tensor:
+        """Return the numbers of the initial lens, by which its parameters are scaled."""
+        return self._start
+
+    def set_extra_state(self, state: Tensor) -> None:
+        """Check that a state belongs to the initial lens of this camera; raises InputError."""
+        if state.shape != self._start.shape or not torch.equal(state.cpu(), self._start):
+            raise InputError(
+                "load_state_dict: the state is that of a camera with another initial lens or other free variables; "
+                "build the camera as it was built then"
+            )
+
+    def _apply(self, fn: Callable[[Tensor], Tensor], recurse: bool = True) -> "Camera":
+        """Move the parameters, but keep their double precision: `half()` would round the lens."""
+
+        def moved(tensor: Tensor) -> Tensor:
+            result = fn(tensor)
+            return result if result.dtype == tensor.dtype else tensor.to(result.device)
+
+        return super()._apply(moved, recurse)
+
     def forward(self, images: Tensor, fields: Tensor | None = None) -> Tensor:
-        """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W).
+        """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W), of the same type.
 
         Args:
             fields: (B,) index of the field of each image; None: random, from torch's default generator.
+
+        Raises:
+            InputError: images or fields of another shape, or a lens that is not finite.
         """
         if fields is None:
             fields = torch.randint(len(self.view.fields), (len(images),))
-        if fields.shape != (len(images),) or not ((fields >= 0) & (fields < len(self.view.fields))).all():
+        fields = torch.as_tensor(fields)
+        if (
+            fields.is_floating_point()
+            or fields.shape != (len(images),)
+            or not ((fields >= 0) & (fields < len(self.view.fields))).all()
+        ):
             raise InputError(
                 f"fields: expected an index from 0 to {len(self.view.fields) - 1} for each of {len(images)} images"
             )
         pixel_noise = None if self.sensor is None else noise(images.shape, torch.default_generator)
-        return self._camera(images).single(images, fields, pixel_noise)
+        return self._camera(images).single(images, fields, pixel_noise).to(images.dtype)
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
-        return self._camera(images).grid(images, torch.default_generator)
+        return self._camera(images).grid(images, torch.default_generator).to(images.dtype)
 
     def penalty(self) -> Tensor:
         """Compute the violation of the lens's limits, as a penalty on a loss: zero for the initial lens.
@@ -120,12 +151,19 @@ class Camera(nn.Module):
         return penalty(self.lens, self.limits, self.view)
 
     def _camera(self, images: Tensor) -> PsfCamera:
-        if images.dim() != 4 or images.shape[1] != 3 or not images.is_floating_point():
+        if images.dim() != 4 or images.shape[1] != 3 or not images.is_floating_point() or not len(images):
             raise InputError(f"images: expected (B, 3, H, W) in [0, 1], got {tuple(images.shape)} of {images.dtype}")
         low, high = (float(bound) for bound in images.detach().aminmax())
         if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
             raise InputError(f"images: expected values in [0, 1], got {low:g} to {high:g}")
+        half = self.view.kernel_size // 2
+        if half >= min(images.shape[-2:]):
+            raise InputError(
+                f"images: expected more than {half} pixels, half of the PSF window, got {tuple(images.shape)}"
+            )
         lens = self.lens
+        if bad := lens.not_finite:
+            raise InputError(f"{bad} of the lens is not finite: the training diverged; lower the learning rate")
         light = None if self.sensor is None else relative_illumination(lens.detached(), self.view)
         psf = evaluation_psf(lens, self.view, self.rays).float().to(images.device)
         return PsfCamera(psf, self.outside_window, self.colour, self.sensor, light)

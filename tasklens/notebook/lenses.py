@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from torch import Tensor
 
 from tasklens.materials.library import Library, user_files
-from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.datasheet import figures, spec_of
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
@@ -136,25 +136,25 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
 
     Args:
         path: the file.
-        notes: notes on the lens from `design`; by default, its specification and figures.
+        notes: notes on the lens from `design_lens`; by default, its specification and figures.
+
+    Raises:
+        InputError: a number of the lens is not finite, as after a descent that diverged.
 
     Example:
         >>> tasklens.save_lens("lens.zmx", lens, view)
     """
+    if not isinstance(lens, Lens) or not isinstance(view, View):
+        raise InputError("save_lens: expected a path, a lens and its view, in this order")
+    if bad := lens.not_finite:
+        raise InputError(f"{path}: {bad} of the lens is not finite; nothing was written")
     prescription = with_system_data(Prescription(lens.detached()), view)
     lens_files.write(Path(path), prescription, notes or described(lens, view))
 
 
 def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
     """Return the specification and the figures of a lens, in the format of a lens.yaml."""
-    spec = {
-        "fields_mm": view.fields.tolist(),
-        "efl_mm": view.efl,
-        "wavelengths_um": list(view.wavelengths),
-        "pixel_pitch_um": view.pixel_pitch,
-        "kernel_size": view.kernel_size,
-    }
-    return {"spec": spec, "figures": figures(lens, view, rays)}
+    return {"spec": spec_of(view), "figures": figures(lens, view, rays)}
 
 
 def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) -> Rays:
@@ -183,8 +183,9 @@ def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> 
         diffraction: sum plane waves instead of counting rays; takes half a minute.
 
     Returns:
-        (F, W, K, K) energies on the sensor's pixels around the chief ray; rows run along y, columns along x. Each PSF
-        sums to the fraction of the light inside the window.
+        (F, W, K, K) energies on the sensor's pixels around the chief ray, in the order of `view.wavelengths`
+        (`view.in_colours()`: red, green, blue); rows run along y, columns along x. Each PSF sums to the fraction of the
+        light inside the window.
 
     Example:
         >>> tasklens.psf(lens, view).sum((-2, -1))  # energy inside the window

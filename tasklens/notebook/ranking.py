@@ -79,10 +79,10 @@ def rank(
     Args:
         lenses: lenses with their views, by name: {"mine": tasklens.load_lens("mine.zmx")}.
         images: folder of photographs, test/<class>/* or <class>/*; or a torch data set, or pairs (image, label).
-        network: a module from images (B, 3, H, W) in [0, 1] to logits, on a GPU if its
-            parameters are there; a timm network is normalised automatically.
+        network: a module from images (B, 3, H, W) in [0, 1] to logits, on a GPU if its parameters are there. The
+            images of a timm network are normalised as its `pretrained_cfg` says.
         size: side to which photographs of a folder are resized [pixels].
-        limit: maximum number of photographs read from a folder.
+        limit: maximum number of images, drawn at random.
         rays: number of rays of each field and colour.
 
     Raises:
@@ -91,12 +91,14 @@ def rank(
     Example:
         >>> tasklens.rank({name: tasklens.load_lens(f"{name}.zmx") for name in ("a", "b")}, "photographs", network)
     """
-    if not isinstance(lenses, Mapping):
+    if not isinstance(lenses, Mapping) or not all(
+        isinstance(pair, tuple) and len(pair) == 2 for pair in lenses.values()
+    ):
         raise InputError('rank: expected lenses by name, such as {"mine": tasklens.load_lens("mine.zmx")}')
     if isinstance(images, str | Path):
         dataset = user_images.test_images(Path(images), size, limit)
     else:
-        dataset = user_images.of_pairs(images)
+        dataset = user_images.of_pairs(images, limit)
     if not lenses or not len(dataset):
         raise InputError("rank: expected lenses and images")
     if dataset.labels.is_floating_point() or dataset.labels.dim() != 1 or dataset.labels.min() < 0:
@@ -105,7 +107,7 @@ def rank(
     dataset = replace(dataset, device=device)
     image = dataset.batch(torch.arange(1))[0]
     try:
-        classifier = classifiers.frozen(classifiers.Classifier(network).to(device), image)
+        classifier = classifiers.frozen(classifiers.of_user(network), image)
         with torch.no_grad():
             answer = classifier(image)
     except RuntimeError as error:

@@ -87,6 +87,13 @@ class Lens:
         """(S,) z of each vertex, measured from the first surface [mm]."""
         return torch.cumsum(self.thickness, 0) - self.thickness
 
+    @property
+    def not_finite(self) -> str | None:
+        """Name of an attribute with a number that is not finite, except clear apertures; None if there is none."""
+        names = ("curvature", "conic", "alpha", "thickness")
+        bad = [name for name in names if not bool(getattr(self, name).isfinite().all())]
+        return bad[0] if bad else "semi_diameter" if bool(self.semi_diameter.isnan().any()) else None
+
     def refractive_indices(self, wavelengths: tuple[float, ...]) -> Tensor:
         """Return (S + 1, W) refractive indices before the lens and behind each surface, at W wavelengths [um].
 

@@ -4,6 +4,7 @@ import copy
 import difflib
 import re
 import socket
+import sys
 import urllib.parse
 import urllib.request
 from collections.abc import Sequence
@@ -76,6 +77,21 @@ class Classifier(nn.Module):
         """Compute the logits (B, used outputs) for images (B, 3, H, W) in [0, 1]."""
         logits = self.all_outputs(images)
         return logits if self.outputs is None else logits[:, self.outputs]
+
+
+def of_user(network: nn.Module) -> Classifier:
+    """Return a copy of a user's network with its normalisation; print the normalisation of a timm network."""
+    classifier = Classifier(copy.deepcopy(network))
+    if hasattr(network, "pretrained_cfg"):
+        mean, std = (
+            [round(float(value), 4) for value in values.flatten()] for values in (classifier.mean, classifier.std)
+        )
+        print(
+            f"tasklens: images are normalised by the network's pretrained_cfg, with mean {mean} and standard deviation "
+            f"{std}; wrap the network in torch.nn.Sequential if it takes images in [0, 1]",
+            file=sys.stderr,
+        )
+    return classifier
 
 
 def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | None = None) -> Classifier:
@@ -239,20 +255,26 @@ def check(name: str, settings: ClassifierSettings, size: int, classes: int = 10)
         raise InputError(f"classifiers.{name}: {settings.model}{arguments}: {error}") from None
 
 
-def check_logits(answer: object, images: int, classes: int) -> None:
+def check_logits(answer: object, images: int, classes: int, exactly: bool = True) -> None:
     """Check that a network's output for `images` images is logits of `classes` classes with a gradient.
+
+    Args:
+        exactly: whether the network may have no further outputs.
 
     Raises:
         InputError: the output is not.
     """
-    if not isinstance(answer, Tensor) or answer.shape != (images, classes) or not answer.is_floating_point():
+    outputs = 0
+    if isinstance(answer, Tensor) and answer.dim() == 2 and len(answer) == images and answer.is_floating_point():
+        outputs = answer.shape[1]
+    if outputs < classes or (exactly and outputs > classes):
         kind = f"a tensor {tuple(answer.shape)}" if isinstance(answer, Tensor) else type(answer).__name__
         count = f"{images} image{'s' * (images != 1)}"
         raise InputError(
             f"the network returns {kind} for {count} of {classes} classes; expected logits ({images}, {classes}), of a "
-            "classifier with an output for each class"
+            "classifier with an output for each class (labels are numbers from 0), or in Python give a `loss`"
         )
-    if not answer.requires_grad:
+    if isinstance(answer, Tensor) and not answer.requires_grad:
         raise InputError(
             "the network's output has no gradient with respect to its images; one of its layers detaches them"
         )

@@ -140,7 +140,11 @@ def write(dataset: ImageDataset, images: Path, labels: Path) -> None:
 
 
 def _write_labels(split: ImageDataset | folders.Listing, path: Path) -> None:
-    write_text(path, json.dumps({"classes": list(split.classes), "labels": split.labels.tolist()}) + "\n")
+    """Write the names of the classes and the labels, and the files of photographs, all in the order of the images."""
+    content = {"classes": list(split.classes), "labels": split.labels.tolist()}
+    if isinstance(split, folders.Listing):
+        content["files"] = [str(file) for file in split.files]
+    write_text(path, json.dumps(content) + "\n")
 
 
 def read(images: Path, labels: Path, *, device: torch.device = CPU) -> ImageDataset:

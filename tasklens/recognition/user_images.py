@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch.utils.data import DataLoader
 
 from tasklens.recognition import class_folders, folders
 from tasklens.recognition.dataset import ImageDataset
@@ -12,11 +13,15 @@ from tasklens.recognition.image_tensor import image_tensor
 from tasklens.runtime.errors import InputError
 
 
-def of_pairs(pairs: Any) -> ImageDataset:
+def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
     """Return a data set from pairs (image, label) of any length, as torch's data sets have them.
 
-    `image_tensor` converts each image; all must have the same size, and are stored as 8 bits. A label is an integer, or
-    a number or tensor for a custom loss. Class names come from `pairs.classes`, or are the labels.
+    `image_tensor` converts each image; all must have the same size, and are stored as 8 bits. A label is an integer
+    from 0, or a number or tensor for a custom loss. Class names come from `pairs.classes`, also behind torch's
+    `Subset`, or are the labels.
+
+    Args:
+        limit: largest number of images, drawn at random; None: all.
 
     Raises:
         InputError: there are no pairs, image sizes differ, or an image cannot be read (the message has its index).
@@ -24,12 +29,12 @@ def of_pairs(pairs: Any) -> ImageDataset:
     if isinstance(pairs, ImageDataset):
         return pairs
     images, labels = [], []
-    for number, pair in enumerate(_items(pairs)):
+    for number, pair in enumerate(_items(pairs, limit)):
         try:
             image, label = pair
             images.append((255 * image_tensor(image)).round().byte())
             labels.append(torch.as_tensor(label))
-        except (InputError, TypeError, ValueError) as error:
+        except (InputError, TypeError, ValueError, RuntimeError) as error:
             raise InputError(f"images: number {number}: expected a pair (image, label): {error}") from None
     if not images:
         raise InputError("images: expected pairs (image, label), got none")
@@ -38,16 +43,28 @@ def of_pairs(pairs: Any) -> ImageDataset:
     if len(shapes := {tuple(label.shape) for label in labels}) > 1:
         raise InputError(f"images: expected labels of one shape, got {', '.join(map(str, sorted(shapes)))}")
     numbers = torch.stack(labels)
-    names = getattr(pairs, "classes", None)
+    names: Iterable[Any] | None = _classes(pairs)
     if names is None:
         names = () if numbers.is_floating_point() else range(int(numbers.max()) + 1)
     return ImageDataset(torch.stack(images), numbers, tuple(map(str, names)))
 
 
-def _items(pairs: Any) -> Iterable[Any]:
-    """Return the items of a data set; a torch data set need not be iterable."""
+def _classes(pairs: Any) -> Sequence[str] | None:
+    """Return the names of the classes of a data set, or of the data set that it is a part of; None without names."""
+    while not hasattr(pairs, "classes") and hasattr(pairs, "dataset"):
+        pairs = pairs.dataset
+    return getattr(pairs, "classes", None)
+
+
+def _items(pairs: Any, limit: int | None) -> Iterable[Any]:
+    """Return the items of a data set, at most `limit`; a torch data set need not be iterable."""
+    if isinstance(pairs, DataLoader):
+        raise InputError("images: expected a data set, got a DataLoader; give its `.dataset`")
     if hasattr(pairs, "__len__") and hasattr(pairs, "__getitem__"):
-        return (pairs[k] for k in range(len(pairs)))
+        indices: Sequence[int] = range(len(pairs))
+        if limit is not None and len(pairs) > limit:
+            indices = torch.randperm(len(pairs), generator=torch.Generator().manual_seed(0))[:limit].tolist()
+        return (pairs[k] for k in indices)
     if not isinstance(pairs, Iterable):
         raise InputError(f"images: expected a folder, or pairs (image, label), got {type(pairs).__name__}")
     return pairs

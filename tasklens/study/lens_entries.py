@@ -65,6 +65,11 @@ class LensEntry(Frozen):
     )
 
     @property
+    def augmented(self) -> bool:
+        """Whether the images of the design are augmented."""
+        return isinstance(self.design, GradientDesignSettings) and self.design.augment
+
+    @property
     def descents(self) -> tuple[DescentSettings, ...]:
         """Descents of the design; empty for least squares and imported lenses."""
         return self.design.descents if isinstance(self.design, GradientDesignSettings) else ()

@@ -62,6 +62,17 @@ def view_of(lens: Lens, content: dict, name: str) -> View:
     return view
 
 
+def spec_of(view: View) -> dict[str, Any]:
+    """Return the `spec` of a lens file for a view; the object distance is in the prescription."""
+    return {
+        "fields_mm": view.fields.tolist(),
+        "efl_mm": view.efl,
+        "wavelengths_um": list(view.wavelengths),
+        "pixel_pitch_um": view.pixel_pitch,
+        "kernel_size": view.kernel_size,
+    }
+
+
 def _fields(value: Any) -> list[list[float]]:
     points = _list(value, "fields_mm")
     if not all(isinstance(point, list) and len(point) == 2 for point in points):
