@@ -149,6 +149,7 @@ def test_a_state_belongs_to_its_initial_lens(lens, images):
     again = tasklens.Camera(*lens, rays=64)
     again.load_state_dict(state)
     assert torch.equal(again.lens.curvature, trained.lens.curvature)
+    again.load_state_dict(state | {"_extra_state": state["_extra_state"] * (1 + 1e-12)})  # of another processor
     other = tasklens.Camera(trained.lens.detached(), lens[1], rays=64)
     with pytest.raises(InputError, match="load_state_dict: the state is that of a camera with another initial lens"):
         other.load_state_dict(state)

@@ -196,8 +196,9 @@ def test_changed_code_needs_consent(tmp_path):
     jobs = {label: replace(job, code="new", made_by="new") for label, job in jobs_of(study).items()}
     label = "design/singlet-imaging1-seed0"
     jobs[label] = replace(jobs[label], made_by="old")
-    (_, line, *_) = refusal_lines(overwritten(study, jobs), tmp_path)
+    (_, line, _, take, _) = refusal_lines(overwritten(study, jobs), tmp_path)
     assert line == "  changed code of TaskLens: 1 lens, 3 classifiers again"
+    assert "in this and every later run:  --rerun-triggers mtime" in take
     write("results/tiny/study.yaml", dump(study))
     after = parse(changed(base(), "fine_tuning.learning_rate", 5e-3))
     jobs |= {
@@ -205,20 +206,21 @@ def test_changed_code_needs_consent(tmp_path):
         for name, job in jobs_of(after).items()
         if job.rule == "fine_tune"
     }
-    (_, first, second, *_) = refusal_lines(overwritten(after, jobs), tmp_path)
+    (_, first, second, *ways) = refusal_lines(overwritten(after, jobs), tmp_path)
+    assert not any("--rerun-triggers" in way for way in ways)  # the results have other settings
     assert first.endswith("6 classifiers again") and second == "  changed code of TaskLens: 1 lens again"
 
 
 def test_results_without_a_record_are_not_taken_for_others(tmp_path):
     """Results that were copied without Snakemake's folder, and a changed value."""
-    study = parse(base())
-    assert unrecorded(study) is None
+    study, faster = parse(base()), parse(changed(base(), "spec.f_number", 2.0))
+    copied = [replace(job, remains=False, made_with=None) for job in jobs_of(faster).values()]
+    assert unrecorded(faster, copied) is None
     write("results/tiny/study.yaml", dump(study))
-    assert unrecorded(study) is None
-    faster = parse(changed(base(), "spec.f_number", 2.0))
-    assert "  spec.f_number: 2.8 -> 2.0\n" in str(unrecorded(faster))
-    write(".snakemake/metadata/any", "")
-    assert unrecorded(faster) is None
+    assert unrecorded(study, copied) is None
+    assert "  spec.f_number: 2.8 -> 2.0\n" in str(unrecorded(faster, copied))
+    for known in ({"made_with": "{}"}, {"outputs": ()}, {"remains": True}):
+        assert unrecorded(faster, [replace(job, **known) for job in copied]) is None
 
 
 def test_settings_of_the_outputs_count(tmp_path):

@@ -183,6 +183,9 @@ def test_a_timm_network_says_how_it_normalises(images, capsys):
     assert "normalised by the network's pretrained_cfg, with mean [0.5, 0.5, 0.5]" in capsys.readouterr().err
     assert [parameter.stride() for parameter in network.parameters()] == strides
     classifiers.of_user(nn.Sequential(network))
+    network.last = network(torch.rand(2, 3, 32, 32))
+    with pytest.raises(InputError, match="network: cannot be copied"):
+        classifiers.of_user(nn.Sequential(network))
     assert float(classifier.mean[0]) == 0.5 and capsys.readouterr().err == ""
 
 

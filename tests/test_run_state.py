@@ -160,7 +160,7 @@ class Snakemake:
         default = logging.StreamHandler()
         default.name = handler
         self.logger.addHandler(default)
-        self.terminal = Terminal(STUDY, lambda name: STUDY, quiet, self.logger)
+        self.terminal = Terminal(STUDY, lambda name: STUDY, quiet, str, self.logger)
 
     def begin(self) -> None:
         jobs = {
@@ -261,6 +261,9 @@ def test_a_finished_study_says_where_its_results_are(snakemake, capsys):
     snakemake.say("Nothing to be done (all requested files are present and up to date).")
     output = capsys.readouterr().err
     assert output.startswith("Nothing to be done.") and f"Results: {FOLDER}/" in output
+    snakemake.terminal.unrecorded = lambda: "made with other settings"
+    snakemake.say("Nothing to be done (all requested files are present and up to date).")
+    assert capsys.readouterr().err.strip() == "made with other settings"
 
 
 @pytest.mark.parametrize("options", [{"quiet": True}, {"handler": "SomeOtherHandler"}])

@@ -176,7 +176,7 @@ def test_jobs_of_all_points_are_counted_together(swept, capsys):
     default = logging.StreamHandler()
     default.name = "DefaultStreamHandler"
     logger.addHandler(default)
-    terminal = Terminal(swept, lambda name: swept, False, logger)
+    terminal = Terminal(swept, lambda name: swept, False, str, logger)
     label = "design/singlet-imaging1-seed0"
     jobs = {f"tiny/{point}": {label: PlannedJob(f"tiny/{point}", label, True, (), (), "{}")} for point in POINTS}
     terminal.begin(jobs, 2)

@@ -4,6 +4,7 @@ import re
 from collections import Counter
 
 import pytest
+import yaml
 from examples import changed, studies_we_ship, tiny_study
 from expected_jobs import PAGE_JOBS, expected, expected_of_everything
 from rules import ROOT
@@ -120,3 +121,10 @@ def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
     lens = "results/smoke/lenses/{}/seed0/lens.yaml"
     assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}
     assert plan(tmp_path, study, lens.format("doublet-end_to_end_from_imaging"))["design"] == 3
+
+
+@pytest.mark.parametrize("profile", ["default", "slurm"])
+def test_a_profile_retries_failed_jobs(profile):
+    """Memory and time double at the second attempt."""
+    settings = yaml.safe_load((ROOT / "profiles" / profile / "config.yaml").read_text())
+    assert settings["retries"] == 1 and settings["rerun-incomplete"]

@@ -30,7 +30,7 @@ from tasklens.study.messages import suggestion
 from tasklens.study.settings import Spec
 from tasklens.study.tables import candidates, lens_design, starts
 
-_IMAGES = 2000  # largest number of photographs from a folder
+_IMAGES = 2000  # largest number of images of a folder or a data set
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
 _NOT_KEYWORDS = ("method", "elements", "baselines", "remark", "spec")  # of `designs`, no keywords of `design_lens`
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
@@ -60,7 +60,7 @@ def design_lens(
         constraints: limits that differ from the defaults of a study, such as {"max_track": 6.0} [mm].
         materials: files of further plastics (.yaml, .agf).
         images: folder of photographs, <class>/* or train/<class>/*; or a torch dataset, or pairs (image, label); by
-            default rendered textures.
+            default rendered textures. Of more than 2000 images, 2000 are drawn at random.
         size: side of the photographs [pixels].
         classifier: the network, such as {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}.
         network: trained torch.nn.Module instead of `classifier`, from images (B, 3, H, W) in [0, 1] to logits. The
@@ -190,6 +190,8 @@ def _start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> L
     if not (isinstance(start, tuple) and [type(part) for part in start] == [Lens, View]):
         raise InputError("start: expected the path of a lens file, or a lens and its view, such as `load_lens` returns")
     lens, view = start
+    if bad := lens.not_finite:
+        raise InputError(f"start: {bad} of the lens is not finite")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "lens.yaml")
         lens_files.write(path, with_system_data(Prescription(lens.detached()), view), {"spec": spec_of(view)})

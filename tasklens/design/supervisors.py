@@ -1,6 +1,5 @@
 """Images and network that supervise the designs of a study, or of a user in Python."""
 
-import copy
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -114,7 +113,7 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     if user.network is not None and (user.task is None or hasattr(network, "pretrained_cfg")):
         network = classifiers.of_user(network)
     elif user.network is not None:
-        network = copy.deepcopy(network)
+        network = classifiers.copied(network)
     network = network.to(device)
     if user.network is not None:
         _check(network, images, user.task)

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from tasklens.study.settings import SensorSettings
 
 
+_SAME = 1e-6  # relative difference of numbers of the same lens, computed on two machines
 _ROUNDING = 1e-3  # tolerance of images in [0, 1], for augmented ones
 
 
@@ -96,13 +97,14 @@ class Camera(nn.Module):
 
     def get_extra_state(self) -> Tensor:
         """Return the numbers of the initial lens, by which its parameters are scaled."""
-        return self._start
+        return self._start.clone()
 
     def set_extra_state(self, state: Tensor) -> None:
         """Check that a state belongs to the initial lens of this camera; raises InputError."""
-        if state.shape != self._start.shape or not torch.equal(state.cpu(), self._start):
+        is_same = state.shape == self._start.shape
+        if not is_same or not torch.allclose(state.to(self._start), self._start, rtol=_SAME, atol=_SAME):
             raise InputError(
-                "load_state_dict: the state is that of a camera with another initial lens or other free variables; "
+                "load_state_dict: the state is that of a camera with another initial lens, view or free variables; "
                 "build the camera as it was built then"
             )
 
@@ -129,6 +131,7 @@ class Camera(nn.Module):
         fields = torch.as_tensor(fields)
         if (
             fields.is_floating_point()
+            or fields.dtype == torch.bool
             or fields.shape != (len(images),)
             or not ((fields >= 0) & (fields < len(self.view.fields))).all()
         ):
@@ -136,7 +139,7 @@ class Camera(nn.Module):
                 f"fields: expected an index from 0 to {len(self.view.fields) - 1} for each of {len(images)} images"
             )
         pixel_noise = None if self.sensor is None else noise(images.shape, torch.default_generator)
-        return self._camera(images).single(images, fields, pixel_noise).to(images.dtype)
+        return self._camera(images).single(images, fields.long(), pixel_noise).to(images.dtype)
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""

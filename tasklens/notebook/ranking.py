@@ -82,7 +82,7 @@ def rank(
         network: a module from images (B, 3, H, W) in [0, 1] to logits, on a GPU if its parameters are there. The
             images of a timm network are normalised as its `pretrained_cfg` says.
         size: side to which photographs of a folder are resized [pixels].
-        limit: maximum number of images, drawn at random.
+        limit: maximum number of images of a folder or of a data set of known length, drawn at random.
         rays: number of rays of each field and colour.
 
     Raises:
@@ -107,7 +107,7 @@ def rank(
     dataset = replace(dataset, device=device)
     image = dataset.batch(torch.arange(1))[0]
     try:
-        classifier = classifiers.frozen(classifiers.of_user(network), image)
+        classifier = classifiers.frozen(classifiers.of_user(network).to(device), image)
         with torch.no_grad():
             answer = classifier(image)
     except RuntimeError as error:

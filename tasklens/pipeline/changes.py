@@ -2,7 +2,7 @@
 
 import json
 from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -145,13 +145,17 @@ def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
     )
 
 
-def unrecorded(study: Study) -> str | None:
-    """Return the error message if results of other settings are here without Snakemake's record of their settings.
+def unrecorded(study: Study, jobs: Iterable[PlannedJob]) -> str | None:
+    """Return the error message if results of other settings would be taken for those of the study; otherwise None.
 
-    Such results were copied without `.snakemake`, and Snakemake would take them for those of the present settings.
+    Snakemake does not know the settings of results that were copied without its folder.
+
+    Args:
+        jobs: all jobs that the targets need, also those that do not have to run.
     """
-    stored, records = Path("results", study.name, "study.yaml"), Path(".snakemake", "metadata")
-    if not stored.exists() or (records.is_dir() and any(records.iterdir())):
+    stored = Path("results", study.name, "study.yaml")
+    unknown = [job for job in jobs if job.rule in COUNTED and job.outputs and not job.remains and job.made_with is None]
+    if not unknown or not stored.exists():
         return None
     diffs = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study))
     if not diffs:
@@ -160,8 +164,8 @@ def unrecorded(study: Study) -> str | None:
         [
             f"results/{study.name} was made with other settings, and Snakemake's record of them is not here:",
             *(f"  {change}" for change in diffs[:_SHOWN]),
-            "Copy the folder .snakemake from where the results were made, give the study another name, or make all "
-            "results anew:  --forceall --config overwrite=true",
+            "Copy the folder .snakemake from where the results were made, give the study another name, or delete the "
+            "results.",
         ]
     )
 
@@ -218,8 +222,8 @@ def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: in
             *(f"  {line}" for line in lines),
             f"Keep them, and {keep}",
             *(
-                ["Or take them as results of the present code:  --rerun-triggers mtime"]
-                if overwrites.by_code and not ranking
+                ["Or take them for results of the present code, in this and every later run:  --rerun-triggers mtime"]
+                if overwrites.by_code and not overwrites.by_values and not ranking
                 else []
             ),
             f"Or overwrite them:  {overwrite}",

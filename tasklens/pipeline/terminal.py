@@ -48,11 +48,13 @@ class Terminal(logging.Handler):
         study: Study,
         study_named: Callable[[str], Study],
         quiet: bool,
+        unrecorded: Callable[[], str],
         logger: logging.Logger = logger,
     ):
         super().__init__()
         self.study = study
         self.study_named = study_named
+        self.unrecorded = unrecorded
         self.durations: dict[str, Durations] = {}  # by name of the study, as `runs`
         self.runs: dict[str, runs.Run] = {}  # by name of the study; a sweep has several
         self.live: Live | None = None
@@ -118,7 +120,7 @@ class Terminal(logging.Handler):
             elif str(record.msg).startswith("Trying to restart job"):
                 self._print("        the job is tried again")
             elif str(record.msg).startswith(_NOTHING):
-                self._print(f"{_NOTHING}.\n{closing.success(self.study, {})}")
+                self._print(self.unrecorded() or f"{_NOTHING}.\n{closing.success(self.study, {})}")
         except Exception:  # as in every handler: an error of the display must not end a run
             self.handleError(record)
 

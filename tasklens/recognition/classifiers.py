@@ -79,9 +79,23 @@ class Classifier(nn.Module):
         return logits if self.outputs is None else logits[:, self.outputs]
 
 
+def copied(network: _Network) -> _Network:
+    """Return a copy of a user's network; raises InputError."""
+    try:
+        return copy.deepcopy(network)
+    except Exception as error:  # of any attribute
+        raise InputError(
+            f"network: cannot be copied: {error}; remove tensors that it keeps of a forward pass"
+        ) from error
+
+
 def of_user(network: nn.Module) -> Classifier:
-    """Return a copy of a user's network with its normalisation; print the normalisation of a timm network."""
-    classifier = Classifier(copy.deepcopy(network))
+    """Return a copy of a user's network with its normalisation; print the normalisation of a timm network.
+
+    Raises:
+        InputError: the network cannot be copied.
+    """
+    classifier = Classifier(copied(network))
     if hasattr(network, "pretrained_cfg"):
         mean, std = (
             [round(float(value), 4) for value in values.flatten()] for values in (classifier.mean, classifier.std)

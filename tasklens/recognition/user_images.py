@@ -21,7 +21,7 @@ def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
     `Subset`, or are the labels.
 
     Args:
-        limit: largest number of images, drawn at random; None: all.
+        limit: largest number of images of a data set of known length, drawn at random; None: all.
 
     Raises:
         InputError: there are no pairs, image sizes differ, or an image cannot be read (the message has its index).
@@ -29,7 +29,7 @@ def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
     if isinstance(pairs, ImageDataset):
         return pairs
     images, labels = [], []
-    for number, pair in enumerate(_items(pairs, limit)):
+    for number, pair in _items(pairs, limit):
         try:
             image, label = pair
             images.append((255 * image_tensor(image)).round().byte())
@@ -56,18 +56,18 @@ def _classes(pairs: Any) -> Sequence[str] | None:
     return getattr(pairs, "classes", None)
 
 
-def _items(pairs: Any, limit: int | None) -> Iterable[Any]:
-    """Return the items of a data set, at most `limit`; a torch data set need not be iterable."""
+def _items(pairs: Any, limit: int | None) -> Iterable[tuple[int, Any]]:
+    """Return items of a data set with their indices; a torch data set need not be iterable."""
     if isinstance(pairs, DataLoader):
         raise InputError("images: expected a data set, got a DataLoader; give its `.dataset`")
     if hasattr(pairs, "__len__") and hasattr(pairs, "__getitem__"):
         indices: Sequence[int] = range(len(pairs))
         if limit is not None and len(pairs) > limit:
             indices = torch.randperm(len(pairs), generator=torch.Generator().manual_seed(0))[:limit].tolist()
-        return (pairs[k] for k in indices)
+        return ((k, pairs[k]) for k in indices)
     if not isinstance(pairs, Iterable):
         raise InputError(f"images: expected a folder, or pairs (image, label), got {type(pairs).__name__}")
-    return pairs
+    return enumerate(pairs)
 
 
 def of_folder(folder: Path, names: Sequence[str], size: int, start: int, limit: int) -> ImageDataset:

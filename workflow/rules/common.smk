@@ -142,7 +142,7 @@ def early(rank=0):
 
 
 def page_priority(wildcards):
-    """Return the priority of a page: that of a part is early; that of a study is last, to show all tables of the run."""
+    """Return the priority of a page: that of a part is early; that of a study is last, to show tables that are ready."""
     return early()(wildcards) if wildcards.study != whole_study_name(wildcards.study) else -1
 
 

@@ -20,6 +20,14 @@ def planned_by_study():
     return planned
 
 
+def unrecorded():
+    """Return why results would be taken for those of other settings, or an empty text."""
+    jobs = {}
+    for job in snakemake_internals.planned_jobs(workflow):
+        jobs.setdefault(job.study, []).append(job)
+    return "\n\n".join(filter(None, (changes.unrecorded(study_named(name), jobs[name]) for name in jobs)))
+
+
 def words_of_dry_run():
     """Return why the run would be refused; with `--config plan=FILE` write its jobs to that file."""
     if PLAN is not None:
@@ -33,7 +41,9 @@ def overwritten(planned):
 
 
 def refusals(overwritten):
-    """Return why this run must not start (changed values or code would overwrite finished results), or an empty text."""
+    """Return why this run must not start, or an empty text: it would overwrite finished results, or mix settings."""
+    if text := unrecorded():
+        return text
     cores = snakemake_internals.cores(workflow)
     texts = [
         changes.refusal(results, name, durations_in(name), cores, bool(study_named(name).ranking.titles))
@@ -70,16 +80,13 @@ def check_in_own_process(study, options):
 
 
 if snakemake_internals.is_main(workflow):
-    for point in [] if OVERWRITE else POINTS:
-        if reason := changes.unrecorded(point):
-            raise WorkflowError(reason)
     if snakemake_internals.is_dry_run(workflow):
         snakemake_internals.after_dry_run(words_of_dry_run)
     else:  # these imports are slow, and jobs on a cluster do not need them
         from tasklens.pipeline import closing
         from tasklens.pipeline.terminal import Terminal
 
-        terminal = Terminal(STUDY, study_named, snakemake_internals.is_quiet(workflow))
+        terminal = Terminal(STUDY, study_named, snakemake_internals.is_quiet(workflow), unrecorded)
 
 
 onstart:

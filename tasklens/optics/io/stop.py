@@ -36,7 +36,13 @@ def check_radius(source: Prescription, path: Path) -> None:
     if source.aperture is None or not source.wavelengths_um:
         return
     reference = source.wavelengths_um[source.primary or 0]
-    needed = stop_radius(source.lens, source.aperture, reference)
+    try:
+        efl = float(paraxial(source.lens, reference).efl)
+        needed = stop_radius(source.lens, source.aperture, reference)
+    except ValueError as error:
+        raise FileError(f"{path}: {error}") from None
+    if not 0 < efl < math.inf:
+        return  # reported later
     radius = float(source.lens.semi_diameter[source.lens.stop])
     if not math.isclose(radius, needed, rel_tol=_ROUNDING):
         kind, value = source.aperture
