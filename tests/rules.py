@@ -67,8 +67,8 @@ def rule_names() -> list[str]:
     return [rule.name for rule in workflow().rules if rule.is_script]
 
 
-def job_of(name: str, study: Study, **wildcards: str | int) -> Job:
-    """The job of a rule in a study."""
+def job_of(name: str, study: Study, /, **wildcards: str | int) -> Job:
+    """The job of a rule in a study; a job of a part has the wildcard `study`."""
     variables = workflow().globals
     variables |= {"STUDY": study, "POINTS": at_points(study)}
     for cached in ("study_named", "durations_in", "lenses_of_table1"):

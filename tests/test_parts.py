@@ -43,9 +43,9 @@ def test_a_part_makes_its_own_tables_from_the_lenses_of_its_study():
     study = three_counts()
     part = parts(study)[0]
     table, page, captures = (
-        job_of("table", part, table="table1"),
-        job_of("report_page", part),
-        job_of("captures", part),
+        job_of("table", study, study=part.name, table="table1"),
+        job_of("report_page", study, study=part.name),
+        job_of("captures", study, study=part.name),
     )
     assert {path.parts[:3] for path in table.reads if path.parts[0] == "results"} >= {("results", "tiny", "lenses")}
     for job in (table, page, captures):
