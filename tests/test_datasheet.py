@@ -9,7 +9,7 @@ import yaml
 from examples import cooke_triplet, f64, lens_and_view, make_lens
 
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
-from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, view_of
+from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, spec_of, view_of
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -33,16 +33,6 @@ def lens():
 @pytest.fixture(scope="module")
 def lens_figures(lens):
     return figures(*lens, RAYS)
-
-
-def spec_of(view: View) -> dict:
-    return {
-        "fields_mm": view.fields.tolist(),
-        "efl_mm": view.efl,
-        "wavelengths_um": list(view.wavelengths),
-        "pixel_pitch_um": view.pixel_pitch,
-        "kernel_size": view.kernel_size,
-    }
 
 
 def test_figures_agree_with_the_psf_and_the_rays(lens, lens_figures):
