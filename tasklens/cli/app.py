@@ -8,7 +8,8 @@ import sys
 import typer
 from typer.main import get_command
 
-from tasklens.cli import design, lens, rank, study
+from tasklens.cli import captures, design, lens, rank, study
+from tasklens.cli.lens_options import lens_command
 from tasklens.cli.schema import schema
 from tasklens.runtime.job import reporting_errors, user_error
 
@@ -18,6 +19,7 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 study.app.command()(schema)
+lens_command(lens.app)(captures.captures)
 app.add_typer(lens.app, name="lens", help="Inspect lenses: .yaml or Zemax .zmx files.")
 app.command()(design.design)
 app.command()(rank.rank)

@@ -1,0 +1,92 @@
+"""Captures of a folder of photographs, to train or to test a network elsewhere."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import torch
+
+from tasklens.imaging import PsfCamera, noise
+from tasklens.notebook.captures import check_choices, check_light
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.spots import evaluation_psf
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.recognition import class_folders, folders
+from tasklens.report.image_files import write_captures
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import write_rows
+from tasklens.runtime.progress import Progress
+
+if TYPE_CHECKING:
+    from tasklens.study.settings import SensorSettings
+
+FIELDS = "fields.csv"  # of the captures
+_BLOCK = 64  # photographs in memory
+
+
+def capture_folder(
+    folder: Path,
+    output: Path,
+    lens: Lens,
+    view: View,
+    size: int = 224,
+    field: int | None = None,
+    seed: int = 0,
+    colour: str = "srgb",
+    sensor: "SensorSettings | None" = None,
+    rays: int = 4096,
+) -> int:
+    """Write a capture of each photograph of a folder, entirely at one field, as PNG, in the same subfolders.
+
+    `fields.csv` lists the field of each capture and its point [mm].
+
+    Args:
+        folder: folder of photographs, at any depth.
+        output: new folder of the captures.
+        size: side of the captures [pixels]: photographs are cropped to their central square and resized.
+        field: index of the field of all photographs; None: random fields by `seed`, which also draws noise.
+        colour, sensor: as in `tasklens.simulate`.
+        rays: number of rays of each field and colour.
+
+    Returns:
+        The number of captures.
+
+    Raises:
+        InputError: there is no photograph, the output exists, two captures would have the same name, photographs are
+            smaller than half a PSF, or no light arrives at a field. Photographs that cannot be read are counted.
+    """
+    files = sorted(class_folders.photographs(folder)) if folder.is_dir() else []
+    if not files:
+        raise InputError(f"{folder}: expected a folder of photographs ({', '.join(class_folders.SUFFIXES)})")
+    if output.exists():
+        raise InputError(f"{output}: already exists; choose a new folder")
+    names = [file.relative_to(folder).with_suffix(".png") for file in files]
+    if duplicates := {name for name in names if names.count(name) > 1}:
+        raise InputError(f"{folder}: two photographs differ only in their suffix: {min(duplicates).with_suffix('')}")
+    if view.kernel_size // 2 >= size:
+        raise InputError(f"size {size}: too small for PSFs of {view.kernel_size} pixels; take a larger one")
+    check_choices(colour, sensor=sensor)
+    view = view.in_colours()
+    check_light(lens, view)
+    illumination = None if sensor is None else relative_illumination(lens.detached(), view)
+    camera = PsfCamera(
+        evaluation_psf(lens.detached(), view, rays), colour=colour, sensor=sensor, illumination=illumination
+    )
+    generator = torch.Generator().manual_seed(seed)
+    fields = torch.randint(len(view.fields), (len(files),), generator=generator)
+    if field is not None:
+        fields = torch.full_like(fields, field)
+    progress = Progress(f"captures of {folder}", len(files))
+    for first in range(0, len(files), _BLOCK):
+        block = slice(first, first + _BLOCK)
+        images = folders.read_all(files[block], size).float() / 255
+        samples = None if sensor is None else noise(images.shape, generator)
+        for name, capture in zip(names[block], camera.single(images, fields[block], samples), strict=True):
+            path = output / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            write_captures(path, capture[None])
+        progress(min(first + _BLOCK, len(files)))
+    points = view.fields.tolist()
+    rows = ((str(name), k, *points[k]) for name, k in zip(names, fields.tolist(), strict=True))
+    write_rows(output / FIELDS, [dict(zip(("file", "field", "x_mm", "y_mm"), row, strict=True)) for row in rows])
+    return len(files)

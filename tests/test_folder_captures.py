@@ -1,0 +1,77 @@
+"""`tasklens lens captures`: captures of a folder, compared with `simulate`."""
+
+import csv
+from pathlib import Path
+
+import numpy
+import pytest
+import torch
+from PIL import Image
+
+import tasklens
+from tasklens.cli.app import main
+
+LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-tasklens.yaml"
+OPTIONS = ("--size", "64", "--rays", "256")
+
+
+@pytest.fixture
+def photos(tmp_path, monkeypatch):
+    """Four square photographs in two folders."""
+    monkeypatch.chdir(tmp_path)
+    pixels = numpy.random.default_rng(0).integers(0, 256, (4, 64, 64, 3), dtype=numpy.uint8)
+    for k, name in enumerate(("cat/a.png", "cat/b.png", "dog/old/a.png", "dog/c.PNG")):
+        Path("photos", name).parent.mkdir(parents=True, exist_ok=True)
+        Image.fromarray(pixels[k]).save(Path("photos", name))
+    return tmp_path / "photos"
+
+
+def run(*words: str) -> int:
+    return main(["lens", "captures", str(LENS), *words])
+
+
+def opened(path: Path) -> torch.Tensor:
+    return torch.from_numpy(numpy.array(Image.open(path))).permute(2, 0, 1) / 255
+
+
+def rows_of(folder: str) -> list[dict[str, str]]:
+    with Path(folder, "fields.csv").open() as file:
+        return list(csv.DictReader(file))
+
+
+def test_each_photograph_is_captured_at_its_field(photos, capsys):
+    """As by `simulate`, within the 8 bits of a file; the same seed gives the same fields."""
+    assert run("photos", "-o", "out", *OPTIONS) == 0 and "wrote 4 captures to out" in capsys.readouterr().err
+    rows = rows_of("out")
+    assert sorted(row["file"] for row in rows) == ["cat/a.png", "cat/b.png", "dog/c.png", "dog/old/a.png"]
+    lens, view = tasklens.load_lens(LENS)
+    for row in rows:
+        source = next(path for path in photos.rglob("*") if str(path.relative_to(photos)).lower() == row["file"])
+        point = float(row["x_mm"]), float(row["y_mm"])
+        assert point == tuple(view.fields[int(row["field"])].tolist())
+        expected = tasklens.simulate(opened(source), lens, view, [point], rays=256)[0]
+        torch.testing.assert_close(opened(Path("out", row["file"])), expected.clamp(0, 1), rtol=0, atol=0.51 / 255)
+    assert len({row["field"] for row in rows}) > 1
+    assert run("photos", "-o", "noisy", *OPTIONS, "--noise") == 0
+    assert rows_of("noisy") == rows
+    assert not torch.equal(opened(Path("noisy/cat/a.png")), opened(Path("out/cat/a.png")))
+
+
+def test_all_photographs_at_one_field(photos):
+    assert run("photos", "-o", "out", *OPTIONS, "--field", "corner") == 0
+    assert {row["field"] for row in rows_of("out")} == {"8"}
+
+
+def test_what_cannot_be_captured_is_refused_before_the_first_file(photos, capsys):
+    (photos / "empty").mkdir()
+    Path("there").mkdir()
+    Image.new("RGB", (64, 64)).save(photos / "cat" / "a.jpg")
+    for words, message in (
+        (("nowhere", "-o", "out"), "nowhere: expected a folder of photographs"),
+        (("photos/empty", "-o", "out"), "photos/empty: expected a folder of photographs"),
+        (("photos/dog", "-o", "there"), "there: already exists"),
+        (("photos", "-o", "out"), "photos: two photographs differ only in their suffix: cat/a"),
+        (("photos/dog", "-o", "out", "--size", "20"), "size 20: too small for PSFs of 51 pixels"),
+    ):
+        assert run(*words) == 2 and message in capsys.readouterr().err
+    assert not Path("out").exists()
