@@ -221,7 +221,7 @@ def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start):
     prescription.write(tmp_path / "phone.yaml", prescription.Prescription(plain), {})
     settings = lens_design(parse(with_start(tmp_path / "phone.yaml", ["phone"])), "singlet-mine", 0)
     assert settings.candidates == ("singlet-phone",)
-    lens, notes, _ = methods.design(settings, None, problem().dataset, {}, {"singlet-phone": plain})
+    lens, notes, *_ = methods.design(settings, None, problem().dataset, {}, {"singlet-phone": plain})
     assert notes["origin"]["start"] == "singlet-phone" and lens.media == plain.media
     assert lens.alpha.shape[1] == 5 and [*notes["origin"]["candidate_losses"]] == ["singlet-phone"]
 

@@ -9,7 +9,7 @@ import timm
 import torch
 import yaml
 from examples import random_images, write_photographs
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 
 from tasklens.cli.app import main
 from tasklens.optics.io import lens_files
@@ -112,6 +112,10 @@ def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys
     assert content["origin"]["start"] == "start.yaml" and content["origin"]["validation_loss"] > 0
     start, better = (lens_files.read(photographs / f"{name}.yaml").lens for name in ("start", "better"))
     assert better.media == start.media and not torch.equal(better.curvature, start.curvature)
+    joint = ("--start", "start.yaml", "--method", "joint", "--size", "32", *network, *quick)
+    assert design(*joint, "-o", "joint.yaml", "--save-network", "joint.safetensors") == 0
+    before, trained = (load_file(photographs / f"{name}.safetensors") for name in ("mine", "joint"))
+    assert before.keys() == trained.keys() and any(not torch.equal(before[name], trained[name]) for name in before)
 
 
 def test_a_network_that_recognises_nothing_designs_nothing(photographs, capsys):
@@ -138,6 +142,7 @@ MISTAKES = [
         ("--method", "magic"),
         "method 'magic': expected one of least_squares, spot, image_quality, image_error, correlation, task",
     ),
+    (("--method", "task", "--save-network", "a.safetensors"), "--save-network: only with --method joint or end_to_end"),
     (("--method", "task"), "method task: needs a network: --classifier NAME --weights FILE, in Python `classifier`"),
     (("--method", "end_to_end"), "method end_to_end: needs a network: --classifier NAME --weights FILE"),
     (TASK, "--classifier test_resnet: give one of --weights FILE, --pretrained"),

@@ -131,7 +131,7 @@ def settings_of(folder: Path, lens: Lens, **spec):
 def test_a_finished_imported_lens(tmp_path):
     """It has an origin, figures, margins, and finite clear apertures that stop no further rays."""
     settings = settings_of(tmp_path, cooke_triplet())
-    lens, notes, history = methods.design(settings, None, None, {}, {})
+    lens, notes, history, _ = methods.design(settings, None, None, {}, {})
     assert history == []
     before, fit = imported.fit(settings.entry.design, VIEW, SPEC.f_number, RAYS)
     assert notes["origin"] == {"design": "cooke", "method": "file"} | fit
@@ -148,7 +148,7 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     triplet = cooke_triplet()
     triplet.semi_diameter[0] = 8.0
     settings = settings_of(tmp_path, triplet, kernel_size=31)
-    lens, notes, _ = methods.design(settings, None, None, {}, {})
+    lens, notes, *_ = methods.design(settings, None, None, {}, {})
     scale = notes["origin"]["scale"]
     assert float(lens.semi_diameter[0]) == pytest.approx(8.0 * scale, rel=1e-14)
     everything, record = trace_fields_full(bare, VIEW, sobol_disc(RAYS, 0))

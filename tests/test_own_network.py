@@ -1,5 +1,7 @@
 """A lens designed in Python for the user's module, images and loss."""
 
+import copy
+
 import pytest
 import timm
 import torch
@@ -104,6 +106,19 @@ def test_settings_that_a_loss_cannot_have_are_refused(images, network, change, w
         tasklens.design_lens(
             "task", ["COC"], images=images, network=network, loss=cross_entropy, settings=settings, **SPEC
         )
+
+
+def test_joint_design_trains_the_network(images, network):
+    """In place, with its own names of parameters; the frozen method leaves it alone (above)."""
+    mine = copy.deepcopy(network)
+    part = {"steps": 2, "pixels": [5, 1], "network_learning_rate": 1e-2}
+    settings = PLATES | {"descents": [part]}
+    result = designs("joint", ["COC"], images=images, network=mine, settings=settings, **SPEC)
+    assert all(torch.equal(value, mine.state_dict()[name]) for name, value in network.state_dict().items())
+    tasklens.design_lens("joint", ["COC"], images=images, network=mine, settings=settings, **SPEC)
+    weights = mine.state_dict()
+    assert all(torch.equal(value, result.trained_weights[name]) for name, value in weights.items())
+    assert any(not torch.equal(value, weights[name]) for name, value in network.state_dict().items())
 
 
 def test_labels_may_be_tensors(images):

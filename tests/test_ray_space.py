@@ -133,7 +133,7 @@ def test_every_finished_design_is_within_its_limits(spot_lens, monkeypatch, name
     settings = settings.model_copy(update={"constraints": LIMITS.model_copy(update={"min_centre_thickness": thinnest})})
     monkeypatch.setattr(descents, "design", lambda *rest: (spot_lens, {}, [], None))
     monkeypatch.setattr(least_squares, "design", lambda *rest: (spot_lens, []))
-    _, notes, _ = methods.design(settings, None, None, {}, {})
+    _, notes, *_ = methods.design(settings, None, None, {}, {})
     assert notes["worst_margin"]["value"] > 0
     assert (
         methods.with_notes(spot_lens, clear_semi_diameters(spot_lens, VIEW), settings, {})[1]["worst_margin"]["value"]

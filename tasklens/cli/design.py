@@ -15,6 +15,7 @@ from tasklens.cli.network_options import (
     Network,
     Outputs,
     Pretrained,
+    SaveNetwork,
     Size,
     Weights,
     nested,
@@ -94,6 +95,7 @@ def design(
     pretrained: Pretrained = False,
     outputs: Outputs = "classes",
     argument: Arguments = None,
+    save_network: SaveNetwork = None,
     verdict: Annotated[
         bool, typer.Option(help="Compare the lens of `task` with lenses for image quality.", rich_help_panel=_VERDICT)
     ] = True,
@@ -115,6 +117,10 @@ def design(
         raise InputError("--elements, --diagonal: not allowed with --start, since its lens has them")
     if start is None and (free, configuration, object_distance) != (None, None, None):
         raise InputError("--free, --configuration, --object: only with --start FILE")
+    if save_network is not None:
+        new_file(save_network, force, ".safetensors")
+        if method not in ("joint", "end_to_end"):
+            raise InputError("--save-network: only with --method joint or end_to_end, which train the network")
     spec = {
         "f_number": f_number,
         "field_of_view_deg": field_of_view,
@@ -135,6 +141,7 @@ def design(
     from tasklens.design import single
     from tasklens.optics.io import lens_files
     from tasklens.report import glance
+    from tasklens.runtime.files import write_tensors
 
     test_images, page = None, output.with_suffix(".html")
     if verdict and method == "task" and images is not None and network is not None:
@@ -164,6 +171,10 @@ def design(
         raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: {hint}")
     lens_files.write(output, result.prescription, notes)
     say_catalogue(output, lens.media)
+    if save_network is not None:
+        assert result.trained_weights is not None  # by these methods
+        write_tensors(save_network, result.trained_weights, {"lens": str(output)})
+        say(f"wrote {save_network}")
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:
         from tasklens.notebook.verdict import verdict as judged

@@ -18,6 +18,10 @@ Images = Annotated[
         help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=_PANEL
     ),
 ]
+SaveNetwork = Annotated[
+    Path | None,
+    typer.Option(help="File for the network that joint or end_to_end trains, .safetensors.", rich_help_panel=_PANEL),
+]
 Size = Annotated[int, typer.Option(help="Side of the images (pixels).", rich_help_panel=_PANEL)]
 Network = Annotated[
     str | None,

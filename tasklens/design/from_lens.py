@@ -130,7 +130,7 @@ def design(
             plan = lens_design(study, name, seed)
             entry = plan.entry.model_copy(update={"plastics": plastics})
             plan = plan.model_copy(update={"entry": entry, "spec": spec, "constraints": limits})
-            lenses[entry.design_name], notes, _ = methods.design(
+            lenses[entry.design_name], notes, _, trained = methods.design(
                 plan,
                 supervision.network if entry.classified else None,
                 supervision.images if entry.supervised else None,
@@ -138,7 +138,7 @@ def design(
                 {},
                 task=supervision.task if entry.classified else None,
             )
-    return Designs(lenses, view, notes, supervision, file.prescription)
+    return Designs(lenses, view, notes, supervision, file.prescription, trained)
 
 
 def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:

@@ -45,7 +45,7 @@ def design(
     candidates: Mapping[str, Lens],
     checkpoint: Checkpoint = NO_CHECKPOINT,
     task: Task | None = None,
-) -> tuple[Lens, Notes, History]:
+) -> tuple[Lens, Notes, History, nn.Module | None]:
     """Design a lens by its method, or import it from its file.
 
     Args:
@@ -57,14 +57,15 @@ def design(
         task: task of the network `classifier`, if it is not classification.
 
     Returns:
-        The lens with its clear apertures, the notes for its file, and a row per logged step.
+        The lens with its clear apertures, the notes for its file, a row per logged step, and the network if it was
+        trained with the lens.
     """
     settings, view = plan.entry.design, view_of_spec(plan.spec)
     if isinstance(settings, ImportedLens):
         lens, origin = imported.fit(settings, view, plan.spec.f_number, plan.rays)
         radii = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)]))
         origin = {"design": plan.entry.design_name, "method": "file"} | origin
-        return *with_notes(lens, _APERTURE * radii, plan, origin), []
+        return *with_notes(lens, _APERTURE * radii, plan, origin), [], None
     free = settings.free if isinstance(settings, GradientDesignSettings) else None
     problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, free)
     origin = {"design": plan.entry.design_name, "method": settings.method, "seed": plan.seed}
@@ -72,7 +73,7 @@ def design(
         plates = flat(plan.entry.plastics, plan.spec, plan.constraints)
         lens, history = least_squares.design(plates, problem, settings, checkpoint)
         origin["start"] = "random paraxial lenses"
-        return *with_notes(*repair(lens, view, plan.constraints), plan, origin), history
+        return *with_notes(*repair(lens, view, plan.constraints), plan, origin), history, None
 
     @cache
     def frozen_loss(temperature: float) -> TaskLoss:
@@ -110,9 +111,11 @@ def design(
     repaired = repair(lens, view, plan.constraints, free)
     keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none
     final_lens, notes = with_notes(*repaired, plan, origin | details, keep_apertures)
+    network = None
     if plan.entry.supervised:
         notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
-    return final_lens, notes, history
+        network = supervisor.criterion.network if isinstance(supervisor.criterion, JointTaskLoss) else None
+    return final_lens, notes, history, network
 
 
 def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:

@@ -64,8 +64,8 @@ def design_lens(
         size: side of the photographs [pixels].
         classifier: the network, such as {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}.
         network: trained torch.nn.Module instead of `classifier`, from images (B, 3, H, W) in [0, 1] to logits. The
-            images of a timm network are normalised as its `pretrained_cfg` says. It stays as it is: joint and
-            end_to_end train a copy, which is discarded; train yours on captures of the lens (`tasklens.Camera`).
+            images of a timm network are normalised as its `pretrained_cfg` says. The methods joint and end_to_end train
+            it with the lens; all others leave it as it is.
         loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image.
         start: file of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
             stay, and limits that it violates are relaxed to its own values.
@@ -90,6 +90,8 @@ def design_lens(
         warnings.warn(f"{where}{remark}", stacklevel=5)
 
     result = designs(method, elements, remark=warn, **settings)
+    if result.trained_weights is not None and settings.get("network") is not None:
+        settings["network"].load_state_dict(result.trained_weights)
     return result.lens, result.view, result.notes
 
 
@@ -168,7 +170,7 @@ def designs(
         supervision = supervisors(study, Path(folder), user)
         for name in study.lenses:
             entry = study.lens(name)
-            lenses[name], notes, _ = methods.design(
+            lenses[name], notes, _, trained = methods.design(
                 lens_design(study, name, seed),
                 supervision.network if entry.classified else None,
                 supervision.images if entry.supervised else None,
@@ -180,7 +182,7 @@ def designs(
         notes["origin"]["materials_tried_rms_um"] = spots
     named = {study.lens(name).design_name: lens for name, lens in lenses.items()}
     prescription = with_system_data(Prescription(lenses[name]), view)
-    return Designs(named, view, notes, supervision, prescription)
+    return Designs(named, view, notes, supervision, prescription, trained)
 
 
 def _start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> LensFile:

@@ -46,6 +46,7 @@ class Designs:
         notes: notes for its file.
         supervisors: images and network of the design.
         prescription: the lens with the data of its file; those of `start` stay.
+        trained: the network, if it was trained with the lens.
     """
 
     lenses: Mapping[str, Lens]
@@ -53,6 +54,17 @@ class Designs:
     notes: dict[str, Any]
     supervisors: Supervisors
     prescription: Prescription
+    trained: nn.Module | None
+
+    @property
+    def trained_weights(self) -> dict[str, Tensor] | None:
+        """Weights of the trained network, without our normalisation of its input."""
+        from tasklens.recognition.classifiers import Classifier
+
+        if self.trained is None:
+            return None
+        network = self.trained.network if isinstance(self.trained, Classifier) else self.trained
+        return network.state_dict()
 
     @property
     def lens(self) -> Lens:

@@ -63,7 +63,9 @@ def run(
         accuracies = [measure(path)["minival_accuracy"] for path in metrics]
     start_lenses = dict(zip(settings.starts, zip(_lenses(starts), accuracies, strict=True), strict=True))
     candidate_lenses = dict(zip(settings.candidates, _lenses(candidates), strict=True))
-    design, notes, rows = methods.design(settings, classifier, images, start_lenses, candidate_lenses, checkpoint, task)
+    design, notes, rows, _ = methods.design(
+        settings, classifier, images, start_lenses, candidate_lenses, checkpoint, task
+    )
     view = view_of_spec(settings.spec)
     write_rows(history, rows)
     prescription.write(lens, prescription.Prescription(design, object_distance_mm=view.object_distance), notes)
