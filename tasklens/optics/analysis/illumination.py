@@ -24,8 +24,9 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
     Rays are aimed at the real stop, so that an entrance pupil that grows with the field counts, as does distortion.
     B is the area of the bundle in the plane of the direction cosines behind the lens (Rimmer 1986, Proc. SPIE 655, 99),
     cos^4 for a thin lens. This holds for a sharp image. In a blurred one the bundle of an object point may fold over
-    itself, where s = 0, and a few rays fly far away; so s is limited to a factor of 1.5 of its median, which gives the
-    density of counted rays within 1 %, and 10 % in the corner. Decentres and tilts are ignored.
+    itself, where s = 0, and a few rays fly far away; so s is limited to a factor of 1.5 of its median. For task-driven
+    doublets, this is the density of counted rays within 1 %, and within 6 % in the corner. Decentres and tilts are
+    ignored.
 
     Args:
         rings, arms: pupil points on the half pupil. With the defaults, the error is at rounding for a smooth bundle,
