@@ -339,7 +339,7 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
 @pytest.mark.parametrize(
     "function, words",
     [
-        ("absent", "expected package.module:function, installed or in this folder"),
+        ("absent", "expected package.module:function, installed, in this folder or on PYTHONPATH"),
         ("number", "expected a torch.nn.Module, got int"),
         ("features", "returns a tensor .1, 10, 30, 30. for 1 image of 10 classes; expected logits .1, 10."),
         ("detached", "has no gradient with respect to its images"),
@@ -348,6 +348,11 @@ def test_a_function_of_ones_own_makes_a_network(own_module, tmp_path):
 def test_a_function_that_makes_no_classifier_is_refused(own_module, function, words):
     with pytest.raises(InputError, match=rf"classifiers\.mine: own_networks:{function}: .*{words}"):
         classifiers.check("mine", ClassifierSettings(model=f"own_networks:{function}"), 32)
+
+
+def test_a_file_in_place_of_a_module_is_refused():
+    with pytest.raises(InputError, match=r"expected a module, not a file: nets:build"):
+        user_code.load("./nets.py:build")
 
 
 def test_weights_with_the_head_of_imagenet(tmp_path):

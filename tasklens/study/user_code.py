@@ -20,11 +20,15 @@ def is_users(name: str) -> bool:
 def load(name: str) -> Callable[..., Any]:
     """Import a function from an installed package or from the current folder; raises InputError."""
     module, _, function = name.partition(":")
+    if "/" in module or module.endswith(".py"):
+        raise InputError(f"{name}: expected a module, not a file: {Path(module).stem}:{function}, in the file's folder")
     _search_here()
     try:
         return getattr(import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
-        raise InputError(f"{name}: expected package.module:function, installed or in this folder: {error}") from None
+        raise InputError(
+            f"{name}: expected package.module:function, installed, in this folder or on PYTHONPATH: {error}"
+        ) from None
 
 
 def digest(name: str) -> str | None:

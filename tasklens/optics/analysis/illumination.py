@@ -29,7 +29,7 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
     ignored.
 
     Args:
-        rings, arms: pupil points on the half pupil. With the defaults, the error is at rounding for a smooth bundle,
+        rings, arms: pupil points on the half pupil. With the defaults, the error is at rounding for a sharp bundle,
             and a few 1e-3 for a vignetted one.
     """
     lens, turned = replace(lens, pose=None), view.in_reference().in_meridian()
