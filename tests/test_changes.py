@@ -219,6 +219,14 @@ def test_results_without_a_record_are_not_taken_for_others(tmp_path):
     write("results/tiny/study.yaml", dump(study))
     assert unrecorded(study, copied) is None
     assert "  spec.f_number: 2.8 -> 2.0\n" in str(unrecorded(faster, copied))
+    longer = tiny_study()["designs"]["imaging1"]["descents"]
+    for key, value, is_safe in (
+        ("seeds", [0, 1], True),
+        ("seeds", [1], False),
+        ("designs.imaging3", tiny_study()["designs"]["imaging1"], True),
+        ("designs.imaging1.descents", [*longer, longer[0]], False),
+    ):
+        assert (unrecorded(parse(changed(base(), key, value)), copied) is None) == is_safe, key
     for known in ({"made_with": "{}"}, {"outputs": ()}, {"remains": True}):
         assert unrecorded(faster, [replace(job, **known) for job in copied]) is None
 

@@ -22,6 +22,13 @@ COUNTED = {  # expensive results, by rule; results derived from them are overwri
     "task_reference": "task networks",
     "task_fine_tune": "task networks",
 }
+_COLLECTIONS = (
+    "elements",
+    "designs",
+    "imported",
+    "classifiers",
+    "ablations",
+)  # sections of a study with entries by name
 _SHOWN = 10  # changed values in a message
 
 
@@ -157,7 +164,8 @@ def unrecorded(study: Study, jobs: Iterable[PlannedJob]) -> str | None:
     unknown = [job for job in jobs if job.rule in COUNTED and job.outputs and not job.remains and job.made_with is None]
     if not unknown or not stored.exists():
         return None
-    diffs = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study))
+    all_changes = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study))
+    diffs = [change for change in all_changes if not _is_addition(change)]
     if not diffs:
         return None
     return "\n".join(
@@ -168,6 +176,14 @@ def unrecorded(study: Study, jobs: Iterable[PlannedJob]) -> str | None:
             "results.",
         ]
     )
+
+
+def _is_addition(change: Change) -> bool:
+    """Return whether a change leaves the existing jobs as they are: more seeds, tables, lenses or networks."""
+    section, _, name = change.key.partition(".")
+    if change.old is None:
+        return section in _COLLECTIONS and "." not in name
+    return section in ("seeds", "tables") and set(change.old) <= set(change.new)
 
 
 def _with_dependents(labels: Collection[str], jobs: Mapping[str, PlannedJob]) -> set[str]:
