@@ -220,12 +220,12 @@ class PsfCamera:
         """Convolve pairs of images (P, 2, 3, H, W) to (N, 2, 3, H, W), in the order of the runs, in their colour space.
 
         Raises:
-            ValueError: the images are smaller than half of the PSF window.
+            InputError: the images are smaller than half of the PSF window.
         """
         height, width = images.shape[-2:]
         half = self.psf.shape[-1] // 2
         if half >= min(height, width):
-            raise ValueError(f"images of {height} x {width} pixels are too small for a kernel of {2 * half + 1} pixels")
+            raise InputError(f"images of {height} x {width} pixels are too small for a kernel of {2 * half + 1} pixels")
         if self.linear:
             images = rgb_to_linear_rgb(images)
         images = images.float().transpose(0, 2)  # colours first

@@ -303,7 +303,10 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
         (lambda lens, view: tasklens.rank({"a": "a.zmx"}, [(IMAGE, 0)], NETWORK), "expected lenses by name"),
         (lambda lens, view: PsfCamera(tasklens.psf(lens, replace(view, wavelengths=(0.5,)))), "3 colours"),
         (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None], [0.5]), "an index from 0 to 8"),
-        (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None, :, :8, :8]), "expected more than 25 pixels"),
+        (
+            lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None, :, :8, :8]),
+            "images of 8 x 8 pixels are too small for a kernel of 51",
+        ),
         (lambda lens, view: tasklens.design_lens("spot", free={"curvature": None}), "free: only with `start`"),
     ],
 )

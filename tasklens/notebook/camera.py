@@ -159,11 +159,6 @@ class Camera(nn.Module):
         low, high = (float(bound) for bound in images.detach().aminmax())
         if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
             raise InputError(f"images: expected values in [0, 1], got {low:g} to {high:g}")
-        half = self.view.kernel_size // 2
-        if half >= min(images.shape[-2:]):
-            raise InputError(
-                f"images: expected more than {half} pixels, half of the PSF window, got {tuple(images.shape)}"
-            )
         lens = self.lens
         if bad := lens.not_finite:
             raise InputError(f"{bad} of the lens is not finite: the training diverged; lower the learning rate")

@@ -1,5 +1,6 @@
 """Captures of a folder of photographs, to train or to test a network elsewhere."""
 
+from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -61,7 +62,7 @@ def capture_folder(
     if output.exists():
         raise InputError(f"{output}: already exists; choose a new folder")
     names = [file.relative_to(folder).with_suffix(".png") for file in files]
-    if duplicates := {name for name in names if names.count(name) > 1}:
+    if duplicates := [name for name, count in Counter(names).items() if count > 1]:
         raise InputError(f"{folder}: two photographs differ only in their suffix: {min(duplicates).with_suffix('')}")
     if view.kernel_size // 2 >= size:
         raise InputError(f"size {size}: too small for PSFs of {view.kernel_size} pixels; take a larger one")

@@ -22,13 +22,7 @@ COUNTED = {  # expensive results, by rule; results derived from them are overwri
     "task_reference": "task networks",
     "task_fine_tune": "task networks",
 }
-_COLLECTIONS = (
-    "elements",
-    "designs",
-    "imported",
-    "classifiers",
-    "ablations",
-)  # sections of a study with entries by name
+_COLLECTIONS = ("elements", "designs", "imported", "classifiers", "ablations")  # sections with entries by name
 _SHOWN = 10  # changed values in a message
 
 

@@ -66,7 +66,7 @@ class LensEntry(Frozen):
 
     @property
     def augmented(self) -> bool:
-        """Whether the images of the design are augmented."""
+        """True if the images of the design are augmented."""
         return isinstance(self.design, GradientDesignSettings) and self.design.augment
 
     @property

@@ -11,10 +11,16 @@ from tasklens.runtime import files
 from tasklens.runtime.errors import InputError
 
 
+@cache
+def all_jobs():
+    """Return the jobs that the targets need, also those that do not have to run."""
+    return list(snakemake_internals.planned_jobs(workflow))
+
+
 def planned_by_study():
     """Return the jobs of this run by label, of each study."""
     planned = {}
-    for job in snakemake_internals.planned_jobs(workflow):
+    for job in all_jobs():
         if job.remains:
             planned.setdefault(job.study, {})[job.label] = job
     return planned
@@ -23,7 +29,7 @@ def planned_by_study():
 def unrecorded():
     """Return why results would be taken for those of other settings, or an empty text."""
     jobs = {}
-    for job in snakemake_internals.planned_jobs(workflow):
+    for job in all_jobs():
         jobs.setdefault(job.study, []).append(job)
     return "\n\n".join(filter(None, (changes.unrecorded(study_named(name), jobs[name]) for name in jobs)))
 
@@ -31,7 +37,7 @@ def unrecorded():
 def words_of_dry_run():
     """Return why the run would be refused; with `--config plan=FILE` write its jobs to that file."""
     if PLAN is not None:
-        files.write_text(Path(PLAN), planning.dump(snakemake_internals.planned_jobs(workflow)))
+        files.write_text(Path(PLAN), planning.dump(all_jobs()))
     return refusals(overwritten(planned_by_study()))
 
 
