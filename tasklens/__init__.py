@@ -10,8 +10,10 @@ Functions for notebooks (see `help()` of each):
     design_lens             a new lens
     rank                    ranking of lenses for a network
     Camera                  a lens in front of a network, for your own training loop
+    PsfCamera               captures through fixed PSFs
 
-They raise `InputError`, a ValueError, if an argument or a file cannot be used.
+Types: `Lens`, `View`, `Ranking`, `SensorSettings`. An argument or a file that cannot be used raises `InputError`, a
+ValueError.
 """
 
 import warnings
@@ -24,6 +26,11 @@ warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarn
 __all__ = [
     "Camera",
     "InputError",
+    "Lens",
+    "PsfCamera",
+    "Ranking",
+    "SensorSettings",
+    "View",
     "analyse",
     "design_lens",
     "draw",
@@ -37,7 +44,15 @@ __all__ = [
     "trace",
 ]
 
-_MODULES = {"InputError": "tasklens.runtime.errors", "design_lens": "tasklens.design.single"}
+_MODULES = {  # of names that are not in tasklens.notebook
+    "InputError": "tasklens.runtime.errors",
+    "Lens": "tasklens.optics.lens",
+    "PsfCamera": "tasklens.imaging",
+    "Ranking": "tasklens.notebook.ranking",
+    "SensorSettings": "tasklens.study.settings",
+    "View": "tasklens.optics.view",
+    "design_lens": "tasklens.design.single",
+}
 
 
 def __getattr__(name: str) -> Any:

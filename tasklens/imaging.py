@@ -138,22 +138,28 @@ class PsfCamera:
     Args:
         psf: (F, 3, K, K) one PSF per field and colour (red, green, blue), K odd.
         outside_window: "veil" as above, or "renormalise": PSFs of unit energy, without light outside the window.
-        colour: convolution of sRGB values ("srgb", our interpretation of the paper) or of "linear" light.
+        colour: convolution of sRGB values ("srgb", our interpretation of the paper) or of "linear" light; None: linear
+            with a sensor, sRGB without one.
         sensor: sensor; None: no noise and no quantisation.
         illumination: (F,) relative illumination of the fields, for a sensor; None: 1 everywhere.
 
     Raises:
-        InputError: PSFs of another shape.
+        InputError: PSFs of another shape, or another argument that is unknown.
+
+    Example:
+        >>> camera = tasklens.PsfCamera(tasklens.psf(lens, view).float())
+        >>> captures = camera.single(images, torch.tensor([0, 8]))  # images (2, 3, H, W): on the axis, in the corner
     """
 
     def __init__(
         self,
         psf: Tensor,
         outside_window: str = "veil",
-        colour: str = "srgb",
+        colour: str | None = None,
         sensor: SensorSettings | None = None,
         illumination: Tensor | None = None,
     ):
+        check_capture(colour, outside_window, sensor)
         if psf.dim() != 4 or psf.shape[1] != 3 or psf.shape[-1] != psf.shape[-2] or psf.shape[-1] % 2 == 0:
             raise InputError(
                 f"psf: expected (fields, 3 colours, K, K) with an odd K, got {tuple(psf.shape)}; `view.in_colours()` "
@@ -162,7 +168,7 @@ class PsfCamera:
         if outside_window == "renormalise":
             psf = psf / psf.sum((-2, -1), keepdim=True).clamp(min=1e-12)
         self.psf = psf.float()
-        self.linear = colour == "linear"
+        self.linear = sensor is not None if colour is None else colour == "linear"
         self.sensor = sensor
         self.illumination = (psf.new_ones(len(psf)) if illumination is None else illumination).to(self.psf)
         self._kernels: dict[tuple[int, int], Tensor] = {}
@@ -194,10 +200,19 @@ class PsfCamera:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).
 
         A sensor needs `noise`: standard normal numbers in the shape of the images.
+
+        Raises:
+            InputError: a field that these PSFs do not have, or no noise for a sensor.
         """
         order: list[int] = []  # image indices sorted by field, an even number per field
         runs = []
         numbers = fields.tolist()
+        if not all(0 <= number < len(self.psf) for number in numbers):
+            raise InputError(
+                f"fields: expected indices from 0 to {len(self.psf) - 1}, got {min(numbers)} to {max(numbers)}"
+            )
+        if self.sensor is not None and noise is None:
+            raise InputError("noise: expected standard normal numbers in the shape of the images, for the sensor")
         for field in sorted(set(numbers)):
             indices = [image for image, other in enumerate(numbers) if other == field]
             start = len(order) // 2
@@ -241,6 +256,18 @@ class PsfCamera:
             kernels = torch.cat([torch.fft.fft2(block, size, norm="forward") for block in blocks])
             self._kernels[size] = kernels.unflatten(0, self.psf.shape[:2])
         return _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
+
+
+def check_capture(colour: str | None, outside_window: str = "veil", sensor: SensorSettings | None = None) -> None:
+    """Raise InputError for an unknown `colour` or `outside_window`, or a `sensor` that is none."""
+    if sensor is not None and not isinstance(sensor, SensorSettings):
+        raise InputError(f"sensor: expected a tasklens.SensorSettings, got {sensor!r}")
+    for name, value, expected in (
+        ("colour", "srgb" if colour is None else colour, ("srgb", "linear")),
+        ("outside_window", outside_window, ("veil", "renormalise")),
+    ):
+        if value not in expected:
+            raise InputError(f"{name}: expected {' or '.join(expected)}, got {value!r}")
 
 
 def noise(shape: Sequence[int], generator: torch.Generator | None = None) -> Tensor:

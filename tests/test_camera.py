@@ -135,7 +135,7 @@ def test_noise_and_wrong_images(lens, images):
     assert not torch.equal(camera(images, fields), camera(images, fields))
     with pytest.raises(InputError, match=r"images: expected .B, 3, H, W. in .0, 1., got .3, 32, 32."):
         camera(images[0])
-    with pytest.raises(InputError, match="expected srgb or linear, got 'rgb'"):
+    with pytest.raises(InputError, match="colour: expected srgb or linear, got 'rgb'"):
         tasklens.Camera(*lens, colour="rgb")
     assert f64(camera.view.fields).shape == (9, 2)
 

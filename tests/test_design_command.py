@@ -76,8 +76,8 @@ def test_a_lens_by_least_squares(folder, capsys):
 
 @pytest.mark.slow
 def test_a_lens_for_ones_own_network(photographs, capsys):
-    """By its loss on the user's images, from flat plates."""
-    network = ("--classifier", "test_resnet", "--weights", "mine.safetensors", "--images", "photographs")
+    """By its loss on the user's images, from flat plates; with or without a verdict it is the same lens."""
+    network = ("--network", "test_resnet", "--weights", "mine.safetensors", "--images", "photographs")
     descents = "descents=[{steps: 2, pixels: [20, 5]}, {steps: 2, pixels: [5, 1]}]"
     options = [word for setting in ("rays=16", "batch_size=2", "start=flat", descents) for word in ("--set", setting)]
     arguments = ("--method", "task", "--elements", "COC", "--size", "32", "--kernel-size", "11", *network, *options)
@@ -86,15 +86,17 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
     assert "recognises" in output.err and "96 sharp images (guessing: 33.3%)" in output.err
     assert "descent 2  step 2/2  loss" in output.err and "design: task by descents, seed 0" in output.out
     assert design(*arguments, "-o", "other.yaml", "--seed", "1") == 0
-    first, other = (lens_files.read(photographs / f"{name}.yaml").lens.curvature for name in ("mine", "other"))
-    assert not torch.equal(first, other) and first.any()
+    assert design(*arguments, "-o", "alone.yaml", "--no-verdict") == 0
+    names = ("mine", "other", "alone")
+    first, other, alone = (lens_files.read(photographs / f"{name}.yaml").lens.curvature for name in names)
+    assert not torch.equal(first, other) and torch.equal(first, alone) and first.any()
 
 
 def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys):
     """From a lens file, with its glasses; start and network are the given ones."""
     assert design(*QUICK, "-o", "start.yaml") == 0
     network = (
-        "--classifier",
+        "--network",
         "test_resnet",
         "--weights",
         "mine.safetensors",
@@ -125,14 +127,14 @@ def test_a_network_that_recognises_nothing_designs_nothing(photographs, capsys):
         for name, value in timm.create_model("test_resnet", num_classes=3).state_dict().items()
     }
     save_file(weights, photographs / "zero.safetensors")
-    arguments = ("--method", "task", "--classifier", "test_resnet", "--weights", "zero.safetensors")
+    arguments = ("--method", "task", "--network", "test_resnet", "--weights", "zero.safetensors")
     assert design(*arguments, "--images", "photographs", "--size", "32", "--kernel-size", "11", "-o", "mine.yaml") == 2
     message = capsys.readouterr().err.splitlines()[-1]
     assert "no better than guessing; check its weights, its normalisation" in message
     assert not (photographs / "mine.yaml").exists()
 
 
-TASK = ("--method", "task", "--classifier", "test_resnet")
+TASK = ("--method", "task", "--network", "test_resnet")
 MISTAKES = [
     (
         ("--elements", "COC,GLASS"),
@@ -140,12 +142,12 @@ MISTAKES = [
     ),
     (
         ("--method", "magic"),
-        "method 'magic': expected one of least_squares, spot, image_quality, image_error, correlation, task",
+        "method 'magic': expected one of least_squares, spot, contrast, log_image_error, correlation, task",
     ),
     (("--method", "task", "--save-network", "a.safetensors"), "--save-network: only with --method joint or end_to_end"),
-    (("--method", "task"), "method task: needs a network: --classifier NAME --weights FILE, in Python `classifier`"),
-    (("--method", "end_to_end"), "method end_to_end: needs a network: --classifier NAME --weights FILE"),
-    (TASK, "--classifier test_resnet: give one of --weights FILE, --pretrained"),
+    (("--method", "task"), "method task: needs a network: --network NAME --weights FILE, in Python `classifier`"),
+    (("--method", "end_to_end"), "method end_to_end: needs a network: --network NAME --weights FILE"),
+    (TASK, "--network test_resnet: give one of --weights FILE, --pretrained"),
     ((*TASK, "--weights", "absent.pth"), "--weights absent.pth: no such file"),
     (
         (*TASK, "--weights", "words.pth", "--images", "absent"),
@@ -156,13 +158,12 @@ MISTAKES = [
         "words.pth: no weights for test_resnet with 3 outputs",
     ),
     (
-        ("--method", "task", "--classifier", "resnt", "--weights", "words.pth"),
-        "--classifier resnt: Unknown model (resnt); did you mean resnet",
+        ("--method", "task", "--network", "resnt", "--weights", "words.pth"),
+        "--network resnt: Unknown model (resnt); did you mean resnet",
     ),
     (
-        (*TASK, "--method", "joint", "--weights", "words.pth", "--set", "start=[image_quality,spot]"),
-        "joint starts from one lens, got lens-image_quality, lens-spot; "
-        "choose one with `start` (on the command line --set",
+        (*TASK, "--method", "joint", "--weights", "words.pth", "--set", "start=[contrast,spot]"),
+        "joint starts from one lens, got lens-contrast, lens-spot; choose one with `start` (on the command line --set",
     ),
     (("--set", "evaluationz=3"), "designs.least_squares.evaluationz = 3: unknown key; did you mean evaluations?"),
     (("--set", "evaluations=many"), "designs.least_squares.evaluations = 'many': expected a whole number"),
@@ -175,10 +176,10 @@ MISTAKES = [
     (("--f-number", "-1"), "--f-number = -1.0: expected greater than or equal to 0.5"),
     (("--kernel-size", "50"), "--kernel-size = 50: expected an odd number, so that the PSF has a central pixel"),
     (("--wavelengths", "2.4,0.6,0.5"), "2.4 um of lens is outside the 0.334 to 2.325 um"),
-    (("--materials", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
-    (("--classifier", "test_resnet", "--weights", "words.pth"), "method least_squares: has no network; choose task"),
+    (("--catalogue", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
+    (("--network", "test_resnet", "--weights", "words.pth"), "method least_squares: has no network; choose task"),
     (("--images", "photographs", "--size", "32"), "method least_squares: has no images"),
-    (("--weights", "words.pth"), "--weights, --pretrained, --outputs, --argument: only with --classifier NAME"),
+    (("--weights", "words.pth"), "--weights, --pretrained, --outputs, --argument: only with --network NAME"),
     ((*TASK, "--weights", "words.pth", "--set", "descents=5"), "designs.task.descents = 5: expected a list"),
     (("-o", "lens.txt"), "lens.txt: expected a name that ends in .yaml or .yml or .zmx"),
     (("-o", "words.yaml"), "words.yaml: already exists; --force overwrites it"),

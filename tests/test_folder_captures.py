@@ -52,7 +52,7 @@ def test_each_photograph_is_captured_at_its_field(photos, capsys):
         expected = tasklens.simulate(opened(source), lens, view, [point], rays=256)[0]
         torch.testing.assert_close(opened(Path("out", row["file"])), expected.clamp(0, 1), rtol=0, atol=0.51 / 255)
     assert len({row["field"] for row in rows}) > 1
-    assert run("photos", "-o", "noisy", *OPTIONS, "--noise") == 0
+    assert run("photos", "-o", "noisy", *OPTIONS, "--noise", "6000") == 0
     assert rows_of("noisy") == rows
     assert not torch.equal(opened(Path("noisy/cat/a.png")), opened(Path("out/cat/a.png")))
 

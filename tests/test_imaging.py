@@ -5,6 +5,8 @@ import torch
 from kornia.filters import filter2d
 
 from tasklens.imaging import PsfCamera, psnr
+from tasklens.runtime.errors import InputError
+from tasklens.study.settings import SensorSettings
 
 F, B, K = 4, 3, 11
 
@@ -176,3 +178,20 @@ def test_psnr_is_taken_per_image():
     decibels = psnr(reference + torch.tensor([0.1, 0.01])[:, None, None, None], reference)
     torch.testing.assert_close(decibels, torch.tensor([20.0, 40.0]), rtol=0, atol=1e-3)
     assert torch.isfinite(psnr(reference, reference)).all()
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda psf, images: PsfCamera(psf, "remove"), "outside_window: expected veil or renormalise, got 'remove'"),
+        (lambda psf, images: PsfCamera(psf, colour="lineaR"), "colour: expected srgb or linear, got 'lineaR'"),
+        (lambda psf, images: PsfCamera(psf, sensor=6000), "sensor: expected a tasklens.SensorSettings, got 6000"),
+        (lambda psf, images: PsfCamera(psf).single(images, torch.tensor([-1, 0])), "fields: expected indices from 0"),
+        (lambda psf, images: PsfCamera(psf).single(images, torch.tensor([0, 99])), "got 0 to 99"),
+        (lambda psf, images: PsfCamera(psf, sensor=SensorSettings()).single(images, torch.tensor([0, 0])), "noise:"),
+    ],
+)
+def test_what_a_camera_cannot_use(call, words):
+    """Wrong words, fields that the PSFs do not have, and a sensor without noise are named."""
+    with pytest.raises(InputError, match=words):
+        call(random_psf(4), random_images(9)[:2])

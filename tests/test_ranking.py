@@ -156,7 +156,7 @@ def here(folder, monkeypatch):
     return folder
 
 
-COMMAND = ("rank", "lenses", "--images", "photographs", "--classifier", "test_resnet")
+COMMAND = ("rank", "lenses", "--images", "photographs", "--network", "test_resnet")
 WEIGHTS = ("--weights", "mine.safetensors")
 SMALL = ("--size", "32", "--kernel-size", "15", "--diagonal", "1.0", "--pixel-pitch", "4", "--photographs", "40")
 SENSOR = (*WEIGHTS, *SMALL)
@@ -237,7 +237,7 @@ def test_a_network_that_gets_used_to_each_lens(here):
 @pytest.mark.parametrize(
     "arguments, words",
     [
-        (COMMAND[:2], "expected --images FOLDER and --classifier NAME"),
+        (COMMAND[:2], "expected --images FOLDER and --network NAME"),
         (COMMAND, "give one of --weights FILE, --pretrained"),
         ((*COMMAND[:1], "nowhere", *COMMAND[2:], *SENSOR), "nowhere: no such lens file or folder"),
         ((*COMMAND[:1], "photographs", *COMMAND[2:], *SENSOR), "photographs: no lens file there"),

@@ -21,6 +21,14 @@ def point(fields: int = 1) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("gain, light, share", [(1, 0.5, 1.0), (16, 0.3, 1.0), (4, 0.2, 0.4)])
+def test_a_sensor_takes_linear_light_by_default():
+    """As in a study: noise is that of light; without a sensor, sRGB values are blurred, as we read the paper."""
+    assert not PsfCamera(point(2)).linear and PsfCamera(point(2), colour="linear").linear
+    assert PsfCamera(point(2), sensor=SensorSettings()).linear
+    assert not PsfCamera(point(2), colour="srgb", sensor=SensorSettings()).linear
+    assert CaptureSettings(sensor=SensorSettings()).colour == "linear" and CaptureSettings().colour == "srgb"
+
+
 def test_moments_are_those_of_electrons(gain, light, share):
     """Mean W E and variance W E + r^2, W = 6000 / gain times the illumination; 200 x 200 pixels of three colours."""
     sensor = SensorSettings(gain=gain, read_noise=3, **FINE)

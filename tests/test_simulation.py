@@ -301,15 +301,15 @@ def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):
     values = (255 * noise((48, 64), seed=9)).byte().movedim(0, -1).numpy()
     Image.fromarray(values).save(image)
     command = ["lens", "simulate", path, image, "-o", output, "--rays", "64"]
-    assert main([*command, "--sensor", "--distortion", "--illumination"]) == 0
+    assert main([*command, "--whole-sensor", "--distortion", "--illumination"]) == 0
     expected = tasklens.simulate_sensor(image, *tasklens.load_lens(path), distortion=True, illumination=True, rays=64)
     pixels = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
     assert (pixels - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
-    assert main([*command, "--force", "--sensor", "--true-pixels", "--pixel-pitch", "20"]) == 0
+    assert main([*command, "--force", "--whole-sensor", "--true-pixels", "--pixel-pitch", "20"]) == 0
     pitched = tasklens.load_lens(path, pixel_pitch_um=20.0)
     expected = tasklens.simulate_sensor(image, *pitched, pixel_pitch_um=20.0, rays=64)
     pixels = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
     assert (pixels - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
-    for options in (["--illumination"], ["--true-pixels"], ["--sensor", "--grid"]):
+    for options in (["--illumination"], ["--true-pixels"], ["--whole-sensor", "--grid"]):
         assert main([*command, "--force", *options]) == 2
-        assert "--sensor" in capsys.readouterr().err
+        assert "--whole-sensor" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from tasklens.cli.lens import File, Rays
+from tasklens.cli.lens import Colour, File, Noise, Rays
 from tasklens.cli.outputs import say
 from tasklens.cli.progress_bars import progress_bars
 
@@ -16,11 +16,11 @@ def captures(
     file: File,
     folder: Annotated[Path, typer.Argument(help="Folder of photographs, at any depth.", show_default=False)],
     output: Annotated[Path, typer.Option("--output", "-o", help="New folder of the captures.", show_default=False)],
-    size: Annotated[int, typer.Option(min=8, help="Side of the captures [pixels].")] = 224,
+    size: Annotated[int, typer.Option(min=8, help="Side of the captures (pixels).")] = 224,
     field: Annotated[Literal["random", "axis", "middle", "corner"], typer.Option(help="Field of each.")] = "random",
     seed: Annotated[int, typer.Option(help="Seed of random fields and noise.")] = 0,
-    colour: Annotated[Literal["srgb", "linear"], typer.Option(help="Blur sRGB values, or linear light.")] = "srgb",
-    noise: Annotated[bool, typer.Option("--noise", help="Add the noise of a phone's sensor in daylight.")] = False,
+    colour: Colour = None,
+    noise: Noise = None,
     rays: Rays = 4096,
 ) -> None:
     """Simulate captures of all photographs of a folder, each at one field, to train a network elsewhere."""
@@ -29,7 +29,7 @@ def captures(
 
     lens = read(file)
     index = None if field == "random" else lens.view.named_fields[field]
-    sensor = SensorSettings() if noise else None
+    sensor = None if noise is None else SensorSettings(full_well=noise)
     with progress_bars():
         count = capture_folder(folder, output, lens.lens, lens.view, size, index, seed, colour, sensor, rays)
     say(f"wrote {count} captures to {output}; {FIELDS} has their fields")

@@ -27,8 +27,8 @@ from tasklens.runtime.errors import InputError
 
 _SPEC = "Specification (with --start: overrides of the file)"
 _METHOD = (
-    "Design method: least_squares (the default), spot (the default with --start), image_quality, image_error, "
-    "correlation; with a network: task, joint, end_to_end."
+    "Design method: least_squares (the default), spot (the default with --start), contrast, "
+    "log_image_error, correlation; with a network: task, joint, end_to_end."
 )
 _ELEMENTS = "COC,OKP4"
 _START = "Start from a lens file"
@@ -51,8 +51,8 @@ def design(
     limits: Annotated[
         list[str] | None, typer.Option("--limit", help="Limit, a key of `constraints` in a study: max_track=6.")
     ] = None,
-    materials: Annotated[
-        list[Path] | None, typer.Option("--materials", "--catalogue", help="File of further glasses (.yaml, .agf).")
+    catalogue: Annotated[
+        list[Path] | None, typer.Option(help="File of further glasses (.agf) or plastics (.yaml).")
     ] = None,
     start: Annotated[
         Path | None,
@@ -106,9 +106,9 @@ def design(
 
     tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
 
-    tasklens design --method task --images photographs --classifier resnet18 --weights mine.safetensors -o mine.yaml
+    tasklens design --method task --images photographs --network resnet18 --weights mine.safetensors -o mine.yaml
 
-    tasklens design --start mine.zmx --method image_quality --free curvature,thickness -o better.zmx
+    tasklens design --start mine.zmx --method contrast --free curvature,thickness -o better.zmx
     """
     new_file(output, force, ".yaml", ".yml", ".zmx")
     if output.suffix.lower() == ".zmx":
@@ -133,7 +133,7 @@ def design(
     }
     network = None
     if classifier is None and (weights or pretrained or outputs != "classes" or argument):
-        raise InputError("--weights, --pretrained, --outputs, --argument: only with --classifier NAME")
+        raise InputError("--weights, --pretrained, --outputs, --argument: only with --network NAME")
     if classifier is not None:
         network = network_settings(classifier, weights, pretrained, outputs, argument)
     specified: dict[str, Any] = {key: value for key, value in spec.items() if value is not None}
@@ -156,10 +156,11 @@ def design(
             free=None if free is None else _free(free),
             settings=method_settings,
             constraints=constraint_settings,
-            materials=materials or (),
+            catalogues=catalogue or (),
             images=images,
             size=size,
             classifier=network,
+            held_out=True,
             baselines=() if test_images is None else single.BASELINES,
             remark=lambda text: say(f"{start}: {text}"),
             **specified,
@@ -200,7 +201,7 @@ def _keys_as_options() -> Iterator[None]:
         yield
     except InputError as error:
         text = re.sub(r"\bconstraints\.(\w+)", r"--limit \1", str(error))
-        text = text.replace(f"classifiers.{NETWORK}: ", "--classifier ")
+        text = text.replace(f"classifiers.{NETWORK}: ", "--network ")
         text = re.sub(r"\bspec\.(\w+?)(?:_deg|_mm|_um)?\b", lambda key: f"--{key[1].replace('_', '-')}", text)
         raise InputError(text) from None
 

@@ -22,6 +22,14 @@ File = Annotated[Path, typer.Argument(help="Lens: .yaml or .zmx.", show_default=
 Files = Annotated[list[Path], typer.Argument(help="Lenses: .yaml or .zmx.", show_default=False)]
 _GRADE = "precision_moulding"
 Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
+Colour = Annotated[
+    Literal["srgb", "linear"] | None,
+    typer.Option(help="Blur sRGB values, or linear light, the default with --noise.", show_default="srgb"),
+]
+Noise = Annotated[
+    float | None,
+    typer.Option(min=1, help="Add sensor noise: electrons per pixel at white, about 6000 in a phone in daylight."),
+]
 
 
 @lens_command(app)
@@ -146,29 +154,31 @@ def simulate(
     output: Annotated[Path, typer.Option("--output", "-o", help="Capture: .png or .jpg.", show_default=False)],
     field: Annotated[str, typer.Option(help="Field: axis, middle, corner, or X,Y: f tan(theta) in mm.")] = "axis",
     grid: Annotated[bool, typer.Option("--grid", help="Show all nine fields in one image.")] = False,
-    sensor: Annotated[bool, typer.Option("--sensor", help="Simulate the whole sensor, from axis to corner.")] = False,
+    whole_sensor: Annotated[
+        bool, typer.Option("--whole-sensor", help="Simulate the whole sensor, from axis to corner.")
+    ] = False,
     true_pixels: Annotated[
         bool,
         typer.Option(
             "--true-pixels",
-            help="With --sensor: one image pixel per sensor pixel; by default the image fills it.",
+            help="With --whole-sensor: one image pixel per sensor pixel; by default the image fills it.",
         ),
     ] = False,
     distortion: Annotated[
-        bool, typer.Option("--distortion", help="With --sensor: apply the distortion of the lens.")
+        bool, typer.Option("--distortion", help="With --whole-sensor: apply the distortion of the lens.")
     ] = False,
     illumination: Annotated[
-        bool, typer.Option("--illumination", help="With --sensor: apply the relative illumination.")
+        bool, typer.Option("--illumination", help="With --whole-sensor: apply the relative illumination.")
     ] = False,
-    colour: Annotated[Literal["srgb", "linear"], typer.Option(help="Blur sRGB values, or linear light.")] = "srgb",
-    noise: Annotated[bool, typer.Option("--noise", help="Add the noise of a phone's sensor in daylight.")] = False,
+    colour: Colour = None,
+    noise: Noise = None,
     rays: Rays = 4096,
     diffraction: Annotated[
         bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
     ] = False,
     force: Force = False,
 ) -> None:
-    """Simulate the capture of an image at one field, or with --sensor over the whole sensor."""
+    """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""
     from tasklens import notebook
     from tasklens.report import image_files
     from tasklens.study.settings import SensorSettings
@@ -176,14 +186,19 @@ def simulate(
     new_file(output, force, ".png", ".jpg", ".jpeg")
     if grid and field != "axis":
         raise InputError("--grid shows all fields: not with --field")
-    if sensor and (grid or noise or diffraction or field != "axis"):
-        raise InputError("--sensor: not with --field, --grid, --noise or --diffraction")
-    if not sensor and (true_pixels or distortion or illumination):
-        raise InputError("--true-pixels, --distortion and --illumination: only with --sensor")
+    if whole_sensor and (grid or noise is not None or diffraction or field != "axis"):
+        raise InputError("--whole-sensor: not with --field, --grid, --noise or --diffraction")
+    if not whole_sensor and (true_pixels or distortion or illumination):
+        raise InputError("--true-pixels, --distortion and --illumination: only with --whole-sensor")
     lens = read(file)
-    if sensor:
+    if whole_sensor:
         pitch = lens.view.pixel_pitch if true_pixels else None
-        options: Any = {"colour": colour, "distortion": distortion, "illumination": illumination, "rays": rays}
+        options: Any = {
+            "colour": colour or "srgb",
+            "distortion": distortion,
+            "illumination": illumination,
+            "rays": rays,
+        }
         with progress_bars():
             captures = notebook.simulate_sensor(image, lens.lens, lens.view, pitch, **options)[None]
         say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
@@ -194,7 +209,7 @@ def simulate(
             lens.view,
             None if grid else [_field(lens.view, field)],
             colour=colour,
-            sensor=SensorSettings() if noise else None,
+            sensor=None if noise is None else SensorSettings(full_well=noise),
             rays=rays,
             diffraction=diffraction,
         )

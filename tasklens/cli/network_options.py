@@ -26,7 +26,6 @@ Size = Annotated[int, typer.Option(help="Side of the images (pixels).", rich_hel
 Network = Annotated[
     str | None,
     typer.Option(
-        "--classifier",
         "--network",
         help="Name of the network in timm, or package.module:function.",
         rich_help_panel=_PANEL,
@@ -55,7 +54,7 @@ def network_settings(
 ) -> dict[str, Any]:
     """Return the section of a study for a network; raises InputError if it has no weights."""
     if (weights is None) != pretrained and not is_users(name):
-        raise InputError(f"--classifier {name}: give one of --weights FILE, --pretrained")
+        raise InputError(f"--network {name}: give one of --weights FILE, --pretrained")
     if weights is not None and not weights.is_file():
         raise InputError(f"--weights {weights}: no such file")
     network = {"model": name, "outputs": outputs, "arguments": nested(arguments or (), "--argument")}

@@ -45,7 +45,8 @@ def rank(
         typer.Option("--object", help="Distance of the object (mm); by default infinity.", rich_help_panel=_SENSOR),
     ] = None,
     noise: Annotated[
-        float | None, typer.Option(help="Add sensor noise: electrons per pixel at white.", rich_help_panel=_SENSOR)
+        float | None,
+        typer.Option(min=1, help="Add sensor noise: electrons per pixel at white.", rich_help_panel=_SENSOR),
     ] = None,
     scale: Annotated[
         bool,
@@ -76,10 +77,10 @@ def rank(
 ) -> None:
     """Rank lenses by the accuracy of a network behind them: a table and a page. An interrupted ranking resumes.
 
-    tasklens rank catalogue/ --images photographs --classifier resnet18 --weights mine.safetensors --diagonal 6
+    tasklens rank catalogue/ --images photographs --network resnet18 --weights mine.safetensors --diagonal 6
     """
     if images is None or classifier is None:
-        raise InputError("expected --images FOLDER and --classifier NAME with --weights FILE (or --pretrained)")
+        raise InputError("expected --images FOLDER and --network NAME with --weights FILE (or --pretrained)")
     if as_built and diffraction:
         raise InputError("--as-built: not with --diffraction; omit one of them")
     network = network_settings(classifier, weights, pretrained, outputs, argument)

@@ -32,7 +32,14 @@ from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # largest number of images of a folder or a data set
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
-_NOT_KEYWORDS = ("method", "elements", "baselines", "remark", "spec")  # of `designs`, no keywords of `design_lens`
+_NOT_KEYWORDS = (
+    "method",
+    "elements",
+    "held_out",
+    "baselines",
+    "remark",
+    "spec",
+)  # of `designs`, no keywords of `design_lens`
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
@@ -48,9 +55,9 @@ def design_lens(
     A doublet by least squares takes a minute.
 
     Args:
-        method: least_squares, spot, image_quality, image_error, correlation; with a network task, joint, end_to_end;
+        method: least_squares, spot, contrast, log_image_error, correlation; with a network task, joint, end_to_end;
             None: least_squares, with `start` spot.
-        elements: materials from front to back, by name, built-in or from `materials`. "COC|PMMA" lets the design
+        elements: materials from front to back, by name, built-in or from `catalogues`. "COC|PMMA" lets the design
             choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
 
     Keywords:
@@ -58,7 +65,7 @@ def design_lens(
         settings: settings of the method, by the keys of a study file, such as {"evaluations": 2000} or
             {"descents": {"0": {"steps": 200}}}.
         constraints: limits that differ from the defaults of a study, such as {"max_track": 6.0} [mm].
-        materials: files of further plastics (.yaml, .agf).
+        catalogues: files of further glasses (.agf) or plastics (.yaml).
         images: folder of photographs, <class>/* or train/<class>/*; or a torch dataset, or pairs (image, label); by
             default rendered textures. Of more than 2000 images, 2000 are drawn at random.
         size: side of the photographs [pixels].
@@ -72,7 +79,8 @@ def design_lens(
         free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
             None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.
         f_number, field_of_view_deg, diagonal_mm, pixel_pitch_um, kernel_size, wavelengths_um, aspect: specification;
-            by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 1.8 um, 51 pixels.
+            by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 1.8 um, 51 pixels; with `start`, that of the file.
+        configuration, object_distance_mm: of the file of `start`, as in `load_lens`.
 
     Returns:
         The lens, the view (fields, wavelengths, pixels), and notes for its file: spec, origin, figures, margins.
@@ -102,7 +110,7 @@ def designs(
     seed: int = 0,
     settings: Mapping[str, Any] | None = None,
     constraints: Mapping[str, Any] | None = None,
-    materials: Sequence[str | Path] = (),
+    catalogues: str | Path | Sequence[str | Path] = (),
     images: Any = None,
     size: int = 224,
     classifier: Mapping[str, Any] | None = None,
@@ -110,6 +118,7 @@ def designs(
     loss: Loss | None = None,
     start: str | Path | tuple[Lens, View] | None = None,
     free: Mapping[str, Sequence[int] | None] | None = None,
+    held_out: bool = False,
     baselines: Sequence[str] = (),
     remark: Callable[[str], None] = warnings.warn,
     **spec: Any,
@@ -117,18 +126,19 @@ def designs(
     """Design one lens, its starting lenses, and the baselines that it is compared with.
 
     Args:
-        baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort;
-            some photographs are held out for the comparison (see `unused_images`).
+        held_out: keep photographs apart for a comparison (see `unused_images`).
+        baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort.
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
     method = method or ("least_squares" if start is None else "spot")
     if loss is not None and network is None and classifier is None:
         raise InputError("loss: only with a `network`; omit it, or give one")
-    section, dataset = _images(images, size, held_out=bool(baselines))
+    section, dataset = _images(images, size, held_out)
     user = Supervisors(dataset, network, None if loss is None else UserTask(loss))
-    files = [str(path) for path in materials]
+    catalogues = [catalogues] if isinstance(catalogues, str | Path) else catalogues
+    files = [str(path) for path in catalogues]
     if start is not None:
-        file = _start(start, [*map(Path, materials), *user_files()], spec)
+        file = _start(start, [*map(Path, catalogues), *user_files()], spec)
         options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
         result = from_lens.design(file, method, free, *options)
         if isinstance(start, str | Path):
@@ -140,7 +150,7 @@ def designs(
     if any(substitution.ALTERNATIVE in element for element in elements):
 
         def spot(combination: Sequence[str]) -> float:
-            options = {"constraints": constraints, "materials": materials, "seed": seed, **spec}
+            options = {"constraints": constraints, "catalogues": catalogues, "seed": seed, **spec}
             notes = design_lens("least_squares", combination, settings={"evaluations": _BRIEF}, **options)[2]
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 

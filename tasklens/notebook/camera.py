@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from tasklens.design import from_lens
 from tasklens.design.constraints import penalty
 from tasklens.design.variables import Variables, with_coefficients
-from tasklens.imaging import PsfCamera, noise
-from tasklens.notebook.captures import check_choices, check_light
+from tasklens.imaging import PsfCamera, check_capture, noise
+from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
@@ -59,12 +59,12 @@ class Camera(nn.Module):
         free: Mapping[str, Sequence[int] | None] | None = None,
         *,
         rays: int = 1024,
-        colour: str = "srgb",
+        colour: str | None = None,
         outside_window: str = "veil",
         sensor: "SensorSettings | None" = None,
     ):
         super().__init__()
-        check_choices(colour, outside_window, sensor)
+        check_capture(colour, outside_window, sensor)
         check_light(lens, view)
         self.view, self.rays = view.in_colours(), rays
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor

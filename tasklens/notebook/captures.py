@@ -25,7 +25,7 @@ def simulate(
     view: View,
     fields: Sequence[tuple[float, float]] | None = None,
     *,
-    colour: str = "srgb",
+    colour: str | None = None,
     outside_window: str = "veil",
     sensor: "SensorSettings | None" = None,
     rays: int = 4096,
@@ -38,25 +38,26 @@ def simulate(
             of uint8, or floats in [0, 1].
         fields: points (x, y), f tan(theta) from the axis [mm]: on the sensor, for an object at infinity; None: the F
             fields of the view.
-        colour: "srgb" convolves the sRGB values of the image, "linear" its linear light.
+        colour: "srgb" convolves the sRGB values of the image, "linear" its linear light; None: linear with a sensor,
+            sRGB without one.
         outside_window: light outside the PSF window returns as a uniform "veil", or is removed ("renormalise").
-        sensor: noise and quantisation, a `tasklens.study.settings.SensorSettings`; None: none.
+        sensor: noise, the same at every call, and quantisation; None: none.
         rays, diffraction: as in `psf`.
 
     Returns:
         (F, 3, H, W) captures, differentiable in the image and the lens; relative illumination has no gradient.
 
     Raises:
-        InputError: the image cannot be read, or is smaller than half a PSF; a field is beyond those of the view, or
-            no light arrives there.
+        InputError: the image cannot be read, or is smaller than half a PSF; a field is no point or is beyond those of
+            the view, or no light arrives there.
 
     Example:
         >>> captures = tasklens.simulate("cat.jpg", lens, view, fields=[(0, 0), (1.7, 1.0)])
     """
-    from tasklens.imaging import PsfCamera
+    from tasklens.imaging import PsfCamera, check_capture
 
     source = image_tensor(image)
-    check_choices(colour, outside_window, sensor)
+    check_capture(colour, outside_window, sensor)
     if fields is not None:
         view = replace(view, fields=_on_sensor(fields, view))
     if view.kernel_size // 2 >= min(source.shape[-2:]):
@@ -102,10 +103,11 @@ def simulate_sensor(
     Example:
         >>> capture = tasklens.simulate_sensor("cat.jpg", lens, view)  # 1080 x 1920: a quarter of a minute
     """
+    from tasklens.imaging import check_capture
     from tasklens.simulation.blend import capture
     from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
-    check_choices(colour)
+    check_capture(colour)
     if pixel_pitch_um is not None and not pixel_pitch_um > 0:
         raise InputError(f"pixel_pitch_um: expected a positive width, got {pixel_pitch_um}")
     source, view = image_tensor(image), view.in_colours()
@@ -121,20 +123,13 @@ def check_light(lens: Lens, view: View) -> None:
         raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: all its rays are lost; omit the field")
 
 
-def check_choices(colour: str, outside_window: str = "veil", sensor: "SensorSettings | None" = None) -> None:
-    """Raise InputError for an unknown `colour` or `outside_window`, or a `sensor` that is none."""
-    if sensor is not None and not hasattr(sensor, "full_well"):
-        raise InputError(f"sensor: expected a tasklens.study.settings.SensorSettings, got {sensor!r}")
-    for value, choices in ((colour, ("srgb", "linear")), (outside_window, ("veil", "renormalise"))):
-        if value not in choices:
-            raise InputError(f"expected {' or '.join(choices)}, got {value!r}")
-
-
 def _on_sensor(fields: Sequence[tuple[float, float]], view: View) -> Tensor:
-    """Return fields (F, 2) [mm]; raises InputError if one is beyond the largest field of the view."""
-    points = torch.tensor(fields, dtype=view.fields.dtype).reshape(-1, 2)
-    if not len(points):
-        raise InputError("fields: expected at least one point (x, y), or None for those of the view")
+    """Return fields (F, 2) [mm]; raises InputError if one is no point or beyond the largest field of the view."""
+    points = torch.as_tensor(fields, dtype=view.fields.dtype)
+    if points.dim() != 2 or points.shape[1] != 2 or not len(points):
+        raise InputError(
+            "fields: expected at least one point (x, y) [mm], such as [(1.7, 1.0)], or None for those of the view"
+        )
     largest = float(view.radii.max())
     for x, y in points[points.norm(dim=-1) > largest * (1 + 1e-3)].tolist():
         raise InputError(f"field ({x:g}, {y:g}) mm: outside the field, which ends {largest:.3f} mm from the axis")

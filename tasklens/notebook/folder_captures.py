@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from tasklens.imaging import PsfCamera, noise
-from tasklens.notebook.captures import check_choices, check_light
+from tasklens.imaging import PsfCamera, check_capture, noise
+from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
@@ -33,7 +33,7 @@ def capture_folder(
     size: int = 224,
     field: int | None = None,
     seed: int = 0,
-    colour: str = "srgb",
+    colour: str | None = None,
     sensor: "SensorSettings | None" = None,
     rays: int = 4096,
 ) -> int:
@@ -66,7 +66,7 @@ def capture_folder(
         raise InputError(f"{folder}: two photographs differ only in their suffix: {min(duplicates).with_suffix('')}")
     if view.kernel_size // 2 >= size:
         raise InputError(f"size {size}: too small for PSFs of {view.kernel_size} pixels; take a larger one")
-    check_choices(colour, sensor=sensor)
+    check_capture(colour, sensor=sensor)
     view = view.in_colours()
     check_light(lens, view)
     illumination = None if sensor is None else relative_illumination(lens.detached(), view)

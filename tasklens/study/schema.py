@@ -7,15 +7,44 @@ from tasklens.study.loading import EXTENDS
 from tasklens.study.study import Study
 from tasklens.study.tolerance_settings import GRADES
 
+_PLACE, _CHANGES = "#/$defs/", "Changed"  # prefix of the definitions of a study that extends another
+
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema of a study file, in which materials may be files, and rates and grades may be names."""
-    result = Study.model_json_schema()
-    materials = result["properties"]["materials"]
-    definitions = {key: materials.pop(key) for key in ("type", "additionalProperties")}
-    materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, definitions]
+    """Return the JSON schema of a study file, in which materials may be files, and rates and grades may be names.
+
+    A file with `extends` may have any part of a study; null removes an entry, and a mapping with the numbers of entries
+    changes a list.
+    """
+    study = Study.model_json_schema()
+    definitions = study.pop("$defs")
+    materials = study["properties"]["materials"]
+    by_name = {key: materials.pop(key) for key in ("type", "additionalProperties")}
+    materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, by_name]
     for name, presets in (("LearningRates", PRESETS), ("Grade", GRADES)):
-        result["$defs"][name] = {"anyOf": [{"enum": list(presets)}, result["$defs"][name]]}
-    result["properties"]["extends"] = {"type": "string", "description": EXTENDS}
-    result["anyOf"] = [{"required": ["extends"]}, {"required": result.pop("required")}]
-    return result
+        definitions[name] = {"anyOf": [{"enum": list(presets)}, definitions[name]]}
+    changes = _partial(study)
+    changes["properties"]["extends"] = {"type": "string", "description": EXTENDS}
+    partial = {f"{_CHANGES}{name}": _partial(definition) for name, definition in definitions.items()}
+    return {"$defs": definitions | partial, "if": {"required": ["extends"]}, "then": changes, "else": study}
+
+
+def _partial(schema: Any) -> Any:
+    """Return the schema of changes of what a schema describes."""
+    if isinstance(schema, list):
+        return [_partial(part) for part in schema]
+    if not isinstance(schema, dict):
+        return schema
+    changes = {
+        "anyOf" if key == "oneOf" else key: _partial(value)
+        for key, value in schema.items()
+        if key not in ("required", "discriminator")
+    }
+    if isinstance(reference := changes.get("$ref"), str):
+        changes["$ref"] = reference.replace(_PLACE, f"{_PLACE}{_CHANGES}")
+    for key, entries in changes.get("patternProperties", {}).items():  # a section by names
+        changes["patternProperties"][key] = {"anyOf": [entries, {"type": "null"}]}
+    if changes.get("type") == "array" and isinstance(items := changes.get("items"), dict):
+        by_number = {"type": "object", "patternProperties": {"^[0-9]+$": items}, "additionalProperties": False}
+        return {"anyOf": [changes, by_number]}
+    return changes

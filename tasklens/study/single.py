@@ -81,7 +81,7 @@ def study(
         result = parse(content | {"designs": designs | others | {method: last}})
     given, classified = classifier is not None or network_given, any(lens.classified for lens in result.lenses.values())
     if classified and not given:
-        raise InputError(f"method {method}: needs a network: --classifier NAME --weights FILE, in Python `classifier`")
+        raise InputError(f"method {method}: needs a network: --network NAME --weights FILE, in Python `classifier`")
     if given and not classified:
         raise InputError(f"method {method}: has no network; choose task, joint or end_to_end, or give no network")
     if images is not None and not any(lens.supervised for lens in result.lenses.values()):
