@@ -3,10 +3,10 @@
 capture = image * PSF + (1 - sum(PSF)) mean(image) = (image - mean(image)) * PSF + mean(image)
 
 The second term is the light outside the PSF window, modelled as a uniform veil, so that the mean flux is conserved.
-Borders are reflected. An optional sensor adds noise and quantises.
+Borders are reflected. An optional sensor adds noise and quantises (`tasklens.sensor`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import torch
@@ -17,6 +17,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from tasklens.runtime.errors import InputError
+from tasklens.sensor import expose, noise
 from tasklens.study.settings import CaptureSettings, SensorSettings
 
 _IMAGES = 16  # images per block on a CPU
@@ -268,34 +269,6 @@ def check_capture(colour: str | None, outside_window: str = "veil", sensor: Sens
     ):
         if value not in expected:
             raise InputError(f"{name}: expected {' or '.join(expected)}, got {value!r}")
-
-
-def noise(shape: Sequence[int], generator: torch.Generator | None = None) -> Tensor:
-    """Return standard normal numbers; without a generator, always the same numbers."""
-    return torch.randn(tuple(shape), generator=generator or torch.Generator().manual_seed(0))
-
-
-def expose(light: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:
-    """Expose a sensor: shot and read noise, illumination correction, and quantised sRGB values.
-
-    N = W E + sqrt(W E + r^2) z,  value = N / W,  W = illumination * full_well / gain
-
-    E is the linear light of the capture (1 is white), r the read noise. The Gaussian has the mean and variance of the
-    Poisson distribution. The gradient passes through the quantisation unchanged.
-
-    Args:
-        light: (..., 3, H, W) linear light; clipped to [0, 1].
-        illumination: (...) relative illumination.
-        noise: standard normal numbers z, in the shape of `light`.
-    """
-    white = (sensor.full_well / sensor.gain * illumination).clamp(min=1e-6)[..., None, None, None]
-    light = light.clamp(0, 1)
-    deviation = torch.sqrt(light / white + (max(sensor.read_noise, 1e-3) / white).square())
-    exact = linear_rgb_to_rgb((light + deviation * noise).clamp(0, 1))
-    levels = 2**sensor.bits - 1
-    with torch.no_grad():
-        rounding = (exact * levels).round_().div_(levels).sub_(exact)
-    return exact + rounding
 
 
 def psnr(images: Tensor, reference: Tensor) -> Tensor:

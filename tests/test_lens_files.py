@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy
 import pytest
@@ -17,6 +18,7 @@ from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
+PUBLISHED = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 HEIGHTS = ((0.0, 0.0), (0.0, 18.2))
 
 
@@ -115,11 +117,8 @@ def test_an_aperture_that_does_not_fit_the_stop_is_refused(tmp_path):
         [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}], 10, 4.0
     )
     tasklens.save_lens(path, lens, view)
-    content = yaml.safe_load(path.read_text()) | {
-        "aperture": {"f_number": 4.0},
-        "wavelengths_um": [0.5876],
-        "primary": 0,
-    }
+    content = yaml.safe_load(path.read_text())
+    content |= {"aperture": {"f_number": 4.0}, "wavelengths_um": content["spec"]["wavelengths_um"], "primary": 1}
     path.write_text(yaml.safe_dump(content))
     lens_files.read(path)
     path.write_text(yaml.safe_dump(content | {"aperture": {"f_number": 2.0}}))
@@ -194,3 +193,36 @@ def test_a_laser_lens_at_its_own_wavelength(tmp_path):
     file = lens_files.read(tmp_path / "laser.zmx")
     assert file.view.wavelengths == (1.064,) and expected == pytest.approx(6.87, abs=0.01)
     assert tasklens.analyse(file.lens, file.view)["rms_centroid_um"][0] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"obect_distance_mm": 500}, "obect_distance_mm: unknown key; did you mean object_distance_mm?"),
+        ({"wavelengths_um": [0.9, 0.8, 0.7], "primary": 1}, "wavelengths_um and spec.wavelengths_um differ"),
+        ({"spec.pixel_pich_um": 3}, "spec.pixel_pich_um: unknown key; did you mean pixel_pitch_um?"),
+        (
+            {"spec.object_distance_mm": 500},
+            "spec.object_distance_mm = 500 contradicts object_distance_mm, from which it is inf",
+        ),
+        (
+            {"spec.field_of_view_deg": 40},
+            "spec.field_of_view_deg = 40 contradicts fields_mm and efl_mm, from which it is 68.8",
+        ),
+        ({"spec.f_number": 5.6}, "spec.f_number = 5.6 contradicts stop_radius_mm, from which it is 2.8"),
+        ({"spec.diagonal_mm": 8}, "spec.diagonal_mm = 8 contradicts fields_mm, from which it is 4;"),
+        ({"format": 1}, "format 1, expected 2; export the lens with the version of"),
+    ],
+)
+def test_an_edited_file_that_contradicts_itself_is_refused(tmp_path, changes, words):
+    """Copies of the specification, and misspelled keys, would otherwise have no effect; other keys are notes."""
+    content = yaml.safe_load((PUBLISHED / "doublet-imaging2.yaml").read_text()) | {"purpose": "a note"}
+    path = tmp_path / "lens.yaml"
+    path.write_text(yaml.safe_dump(content))
+    assert lens_files.read(path).content["purpose"] == "a note"
+    for key, value in changes.items():
+        section, _, inner = key.partition(".")
+        content[section] = content[section] | {inner: value} if inner else value
+    path.write_text(yaml.safe_dump(content))
+    with pytest.raises(FileError, match=words):
+        lens_files.read(path)

@@ -6,8 +6,9 @@ import pytest
 import torch
 from kornia.color import rgb_to_linear_rgb
 
-from tasklens.imaging import PsfCamera, expose, noise
+from tasklens.imaging import PsfCamera
 from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.sensor import expose, noise
 from tasklens.study.settings import CaptureSettings, SensorSettings
 
 FINE = {"bits": 16}  # levels far below the noise
@@ -21,14 +22,6 @@ def point(fields: int = 1) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("gain, light, share", [(1, 0.5, 1.0), (16, 0.3, 1.0), (4, 0.2, 0.4)])
-def test_a_sensor_takes_linear_light_by_default():
-    """As in a study: noise is that of light; without a sensor, sRGB values are blurred, as we read the paper."""
-    assert not PsfCamera(point(2)).linear and PsfCamera(point(2), colour="linear").linear
-    assert PsfCamera(point(2), sensor=SensorSettings()).linear
-    assert not PsfCamera(point(2), colour="srgb", sensor=SensorSettings()).linear
-    assert CaptureSettings(sensor=SensorSettings()).colour == "linear" and CaptureSettings().colour == "srgb"
-
-
 def test_moments_are_those_of_electrons(gain, light, share):
     """Mean W E and variance W E + r^2, W = 6000 / gain times the illumination; 200 x 200 pixels of three colours."""
     sensor = SensorSettings(gain=gain, read_noise=3, **FINE)
@@ -107,3 +100,11 @@ def test_the_blur_is_in_the_colour_space_of_the_study_and_the_noise_in_light(col
         PsfCamera(grid, colour=colour, sensor=with_or_without).grid(images) for with_or_without in (None, sensor)
     ]
     torch.testing.assert_close(captures[1], captures[0], rtol=0, atol=5e-4)
+
+
+def test_a_sensor_takes_linear_light_by_default():
+    """As in a study: noise is that of light; without a sensor, sRGB values are blurred, as we read the paper."""
+    assert not PsfCamera(point(2)).linear and PsfCamera(point(2), colour="linear").linear
+    assert PsfCamera(point(2), sensor=SensorSettings()).linear
+    assert not PsfCamera(point(2), colour="srgb", sensor=SensorSettings()).linear
+    assert CaptureSettings(sensor=SensorSettings()).colour == "linear" and CaptureSettings().colour == "srgb"

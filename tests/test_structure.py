@@ -26,6 +26,7 @@ FLOORS = [
     ("tasklens.optics.analysis",),
     ("tasklens.optics.tolerancing",),
     ("tasklens.optics.io",),
+    ("tasklens.sensor",),
     ("tasklens.imaging",),
     ("tasklens.simulation",),
     ("tasklens.recognition",),

@@ -9,13 +9,14 @@ from torch import Tensor, nn
 from tasklens.design import from_lens
 from tasklens.design.constraints import penalty
 from tasklens.design.variables import Variables, with_coefficients
-from tasklens.imaging import PsfCamera, check_capture, noise
+from tasklens.imaging import PsfCamera, check_capture
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
+from tasklens.sensor import noise
 from tasklens.study.settings import Constraints
 
 if TYPE_CHECKING:

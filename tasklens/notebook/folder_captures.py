@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from tasklens.imaging import PsfCamera, check_capture, noise
+from tasklens.imaging import PsfCamera, check_capture
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
@@ -17,6 +17,7 @@ from tasklens.report.image_files import write_captures
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
+from tasklens.sensor import noise
 
 if TYPE_CHECKING:
     from tasklens.study.settings import SensorSettings

@@ -8,13 +8,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.imaging import PsfCamera, noise, psnr
+from tasklens.imaging import PsfCamera, psnr
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
 from tasklens.runtime.progress import Progress
+from tasklens.sensor import noise
 
 _WORST = 0.01  # fraction of images with the lowest PSNR, averaged in `worst_psnr_db`
 _BATCH = 64  # images per rendering, and captures per forward pass

@@ -14,7 +14,7 @@ from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop, rim
 from tasklens.optics.analysis.spots import chief_rays, has_light, trace_fields
-from tasklens.optics.io import prescription, zemax
+from tasklens.optics.io import consistency, prescription, zemax
 from tasklens.optics.io.fields import largest_tangent
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
@@ -30,7 +30,6 @@ _RAYS = 1024  # per field and colour, for the focus
 _RIM = 64  # marginal rays on the axis
 _CHANGES = ("field_of_view_deg", "f_number", "pixel_pitch_um", "kernel_size")  # keys of `Spec` that may be changed
 _KEYWORDS = (*_CHANGES, "wavelengths_um", "object_distance_mm", "configuration")
-_COMPUTED = ("figures", "margins", "worst_margin", "local_optimum")  # keys of a lens file for its own specification
 
 
 @dataclass(frozen=True)
@@ -106,7 +105,7 @@ def read(
 
 def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of a lens file without what was computed for its own specification."""
-    return {key: value for key, value in content.items() if key not in _COMPUTED}
+    return {key: value for key, value in content.items() if key not in consistency.COMPUTED}
 
 
 def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -137,6 +136,7 @@ def _specified(
 ) -> LensFile:
     """Return a lens with the changed specification of its file."""
     lens, view = source.lens, view_of(source.lens, content, name)
+    consistency.check_copies(source, content["spec"], view, name)
     wavelengths = wavelengths or view.wavelengths
     lens.refractive_indices(wavelengths)
     lens, view = _changed(lens, replace(view, wavelengths=wavelengths, object_vergence=vergence), changes)
@@ -156,6 +156,7 @@ def read_prescription(
         return zemax.read(path, catalogues, configuration), {}
     if suffix in (".yaml", ".yml"):
         source, content = prescription.read(path)
+        consistency.check_keys(content, path)
         check_radius(source, path)
         return source, content
     raise FileError(f"{path}: expected a lens file, .yaml or .zmx")

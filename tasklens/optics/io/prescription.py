@@ -20,6 +20,9 @@ FORMAT = 2
 APERTURES = ("entrance_pupil_diameter_mm", "f_number")
 FIELDS = ("angle_deg", "object_height_mm", "paraxial_image_height_mm", "real_image_height_mm")
 
+_SYSTEM = ("title", "source", "aperture", "fields", "wavelengths_um", "primary", "object_distance_mm")
+KEYS = ("format", "units", *_SYSTEM, "materials", "stop", "surfaces")
+
 _KEYS = ("curvature", "conic", "thickness", "medium", "semi_diameter")
 _ORDERS = {f"alpha_{2 * j}": j for j in range(1, 241)}  # the most terms of Zemax's extended asphere
 
@@ -108,7 +111,10 @@ def from_dict(content: object, name: str = "lens file") -> Prescription:
     if not isinstance(content, Mapping) or not {"units", "surfaces"} & set(content):
         raise FileError(f"{name}: not a lens: expected a lens file with format, units, surfaces, stop, materials")
     if content.get("format") != FORMAT:
-        raise FileError(f"{name}: format {content.get('format')!r}, expected {FORMAT}")
+        raise FileError(
+            f"{name}: format {content.get('format')!r}, expected {FORMAT}; export the lens with the version of "
+            "TaskLens that wrote it"
+        )
     if content.get("units") != "mm":
         raise FileError(f"{name}: units {content.get('units')!r}, expected 'mm'")
     materials = from_definitions(_part(content, "materials", Mapping, name), f"{name}: materials")
