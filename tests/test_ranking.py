@@ -2,6 +2,7 @@
 
 import shutil
 import sys
+from pathlib import Path
 
 import numpy
 import pandas
@@ -348,3 +349,11 @@ def test_names_of_lenses_are_text_on_a_page():
     pairs = [(torch.rand(3, 32, 32), k) for k in (0, 1)]
     network = Answers(lambda images: images.mean((2, 3)))
     assert "<b>a&b" not in tasklens.rank({"<b>a&b": singlet()}, pairs, network, rays=64)._repr_html_()
+
+
+def test_a_field_beyond_the_sensor_is_named(capsys):
+    """A lens of a larger sensor is measured on the part of its field that the sensor sees."""
+    path = Path(__file__).parents[1] / "config" / "lenses" / "phone_3p.yaml"
+    entry = pipeline.screen([path], {}, [], scaled=False).entries["phone_3p"]
+    assert "has a field of 4.76 mm, used up to the sensor's diagonal of 4 mm" in capsys.readouterr().err
+    assert entry["spec"]["field_of_view_deg"] == pytest.approx(71.85, abs=0.01)

@@ -114,6 +114,7 @@ def _screened(
     tangent, half = float(file.view.radii.max()) / file.view.efl, sensor.diagonal_mm / 2
     if not tangent:
         raise InputError("its file has no field except the axis")
+    remarks = [*file.prescription.remarks]
     if not scaled:
         radius = efl * tangent
         if radius < _COVERAGE * half:
@@ -121,6 +122,8 @@ def _screened(
                 f"covers {2 * radius:.2f} mm of the sensor's diagonal of {sensor.diagonal_mm:g} mm (--scale makes it "
                 "fit)"
             )
+        if radius * _COVERAGE > half:
+            remarks.append(f"has a field of {2 * radius:.2f} mm, used up to the sensor's diagonal of {2 * half:g} mm")
         tangent = half / efl
     lens_spec = {
         "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
@@ -137,7 +140,7 @@ def _screened(
     lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
     if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
-    return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), file.prescription.remarks
+    return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), remarks
 
 
 def _title(path: Path, paths: Sequence[Path]) -> str:
