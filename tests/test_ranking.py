@@ -355,5 +355,5 @@ def test_a_field_beyond_the_sensor_is_named(capsys):
     """A lens of a larger sensor is measured on the part of its field that the sensor sees."""
     path = Path(__file__).parents[1] / "config" / "lenses" / "phone_3p.yaml"
     entry = pipeline.screen([path], {}, [], scaled=False).entries["phone_3p"]
-    assert "has a field of 4.76 mm, used up to the sensor's diagonal of 4 mm" in capsys.readouterr().err
+    assert "has a field of 4.77 mm, used up to the sensor's diagonal of 4 mm" in capsys.readouterr().err
     assert entry["spec"]["field_of_view_deg"] == pytest.approx(71.85, abs=0.01)

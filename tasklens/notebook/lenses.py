@@ -134,6 +134,8 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> "Figure":
 def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any] | None = None) -> None:
     """Write a lens as a lens.yaml, or as a Zemax file if the suffix is .zmx; an existing file is replaced.
 
+    Title, comments and kind of fields of the file that it was loaded from are lost; `tasklens lens export` keeps them.
+
     Args:
         path: the file.
         notes: notes on the lens from `design_lens`; by default, its specification and figures.
