@@ -7,7 +7,7 @@ Borders are reflected. An optional sensor adds noise and quantises (`tasklens.se
 """
 
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import torch
 import torch.nn.functional as F
@@ -263,10 +263,8 @@ def check_capture(colour: str | None, outside_window: str = "veil", sensor: Sens
     """Raise InputError for an unknown `colour` or `outside_window`, or a `sensor` that is none."""
     if sensor is not None and not isinstance(sensor, SensorSettings):
         raise InputError(f"sensor: expected a tasklens.SensorSettings, got {sensor!r}")
-    for name, value, expected in (
-        ("colour", "srgb" if colour is None else colour, ("srgb", "linear")),
-        ("outside_window", outside_window, ("veil", "renormalise")),
-    ):
+    for name, value in (("colour", "srgb" if colour is None else colour), ("outside_window", outside_window)):
+        expected = get_args(CaptureSettings.model_fields[name].annotation)
         if value not in expected:
             raise InputError(f"{name}: expected {' or '.join(expected)}, got {value!r}")
 
