@@ -145,8 +145,9 @@ MISTAKES = [
         "method 'magic': expected one of least_squares, spot, contrast, log_image_error, correlation, task",
     ),
     (("--method", "task", "--save-network", "a.safetensors"), "--save-network: only with --method joint or end_to_end"),
-    (("--method", "task"), "method task: needs a network: --network NAME --weights FILE, in Python `classifier`"),
+    (("--method", "task"), "method task: needs a network: --network NAME --weights FILE, in Python `network`"),
     (("--method", "end_to_end"), "method end_to_end: needs a network: --network NAME --weights FILE"),
+    ((*TASK, "--method", "joint", "--weights", "words.pth"), "--method joint: trains the network with the lens; give"),
     (TASK, "--network test_resnet: give one of --weights FILE, --pretrained"),
     ((*TASK, "--weights", "absent.pth"), "--weights absent.pth: no such file"),
     (
@@ -162,7 +163,10 @@ MISTAKES = [
         "--network resnt: Unknown model (resnt); did you mean resnet",
     ),
     (
-        (*TASK, "--method", "joint", "--weights", "words.pth", "--set", "start=[contrast,spot]"),
+        (
+            *(*TASK, "--method", "joint", "--weights", "words.pth"),
+            *("--save-network", "a.safetensors", "--set", "start=[contrast,spot]"),
+        ),
         "joint starts from one lens, got lens-contrast, lens-spot; choose one with `start` (on the command line --set",
     ),
     (("--set", "evaluationz=3"), "designs.least_squares.evaluationz = 3: unknown key; did you mean evaluations?"),

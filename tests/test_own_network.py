@@ -146,7 +146,7 @@ def test_labels_may_be_tensors(images):
             None,
             r"network: fails for images \(2, 3, 32, 32\) of torch.float32: .*mat1 and mat2",
         ),
-        (nn.Flatten().forward, None, "network: expected a torch.nn.Module, got method"),
+        (nn.Flatten().forward, None, "network: expected a torch.nn.Module or its settings, got method"),
         (nn.Flatten(), lambda answer, labels: answer, r"loss: expected one number or one for each image, got a tensor"),
         (
             nn.Conv2d(3, 3, 3),
@@ -249,8 +249,10 @@ def test_pairs_of_images_with_a_network_by_name(images, tmp_path):
     fit(classifier, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
     write_tensors(tmp_path / "mine.safetensors", classifier.network.state_dict(), {})
     by_name = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
-    lens, _, _ = tasklens.design_lens("task", ["COC"], images=images, classifier=by_name, settings=QUICK, **SPEC)
+    lens, _, _ = tasklens.design_lens("task", ["COC"], images=images, network=by_name, settings=QUICK, **SPEC)
     assert lens.curvature.any()
+    with pytest.raises(InputError, match="network: joint trains it with the lens; give"):
+        tasklens.design_lens("joint", ["COC"], images=images, network=by_name, **SPEC)
 
 
 def test_unused_outputs_of_a_module_that_is_not_of_timm():

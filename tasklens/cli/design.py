@@ -90,7 +90,7 @@ def design(
     ] = None,
     images: Images = None,
     size: Size = 224,
-    classifier: Network = None,
+    network: Network = None,
     weights: Weights = None,
     pretrained: Pretrained = False,
     outputs: Outputs = "classes",
@@ -110,6 +110,8 @@ def design(
 
     tasklens design --start mine.zmx --method contrast --free curvature,thickness -o better.zmx
     """
+    from tasklens.study.single import TRAINING
+
     new_file(output, force, ".yaml", ".yml", ".zmx")
     if output.suffix.lower() == ".zmx":
         new_catalogue(output, force)
@@ -119,7 +121,7 @@ def design(
         raise InputError("--free, --configuration, --object: only with --start FILE")
     if save_network is not None:
         new_file(save_network, force, ".safetensors")
-        if method not in ("joint", "end_to_end"):
+        if method not in TRAINING:
             raise InputError("--save-network: only with --method joint or end_to_end, which train the network")
     spec = {
         "f_number": f_number,
@@ -131,11 +133,13 @@ def design(
         "configuration": configuration,
         "object_distance_mm": object_distance,
     }
-    network = None
-    if classifier is None and (weights or pretrained or outputs != "classes" or argument):
+    classifier = None
+    if network is None and (weights or pretrained or outputs != "classes" or argument):
         raise InputError("--weights, --pretrained, --outputs, --argument: only with --network NAME")
-    if classifier is not None:
-        network = network_settings(classifier, weights, pretrained, outputs, argument)
+    if network is not None:
+        classifier = network_settings(network, weights, pretrained, outputs, argument)
+        if method in TRAINING and save_network is None:
+            raise InputError(f"--method {method}: trains the network with the lens; give --save-network FILE for it")
     specified: dict[str, Any] = {key: value for key, value in spec.items() if value is not None}
     method_settings, constraint_settings = nested(settings or (), "--set"), nested(limits or (), "--limit")
     from tasklens.design import single
@@ -159,7 +163,7 @@ def design(
             catalogues=catalogue or (),
             images=images,
             size=size,
-            classifier=network,
+            network=classifier,
             held_out=True,
             baselines=() if test_images is None else single.BASELINES,
             remark=lambda text: say(f"{start}: {text}"),

@@ -28,7 +28,7 @@ def rank(
         list[Path], typer.Argument(help="Lens files, .zmx or .yaml, or folders of them.", show_default=False)
     ],
     images: Images = None,
-    classifier: Network = None,
+    network: Network = None,
     weights: Weights = None,
     pretrained: Pretrained = False,
     outputs: Outputs = "classes",
@@ -79,11 +79,11 @@ def rank(
 
     tasklens rank catalogue/ --images photographs --network resnet18 --weights mine.safetensors --diagonal 6
     """
-    if images is None or classifier is None:
+    if images is None or network is None:
         raise InputError("expected --images FOLDER and --network NAME with --weights FILE (or --pretrained)")
     if as_built and diffraction:
         raise InputError("--as-built: not with --diffraction; omit one of them")
-    network = network_settings(classifier, weights, pretrained, outputs, argument)
+    classifier = network_settings(network, weights, pretrained, outputs, argument)
     from tasklens.materials.library import user_files
     from tasklens.pipeline import ranking
     from tasklens.study import loading
@@ -102,7 +102,7 @@ def rank(
         screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale)
 
     def study(built: list[str]) -> dict:
-        return ranking.study(name, screened, spec, section, network, capture, fine_tune, sieve, tolerances, built)
+        return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, sieve, tolerances, built)
 
     content = study([])
     parsed = loading.parse(content)

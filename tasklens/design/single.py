@@ -69,10 +69,10 @@ def design_lens(
         images: folder of photographs, <class>/* or train/<class>/*; or a torch dataset, or pairs (image, label); by
             default rendered textures. Of more than 2000 images, 2000 are drawn at random.
         size: side of the photographs [pixels].
-        classifier: the network, such as {"model": "resnet18", "weights": "resnet.safetensors", "outputs": "classes"}.
-        network: trained torch.nn.Module instead of `classifier`, from images (B, 3, H, W) in [0, 1] to logits. The
-            images of a timm network are normalised as its `pretrained_cfg` says. The methods joint and end_to_end train
-            it with the lens; all others leave it as it is.
+        network: trained torch.nn.Module from images (B, 3, H, W) in [0, 1] to logits, or its settings, such as
+            {"model": "resnet18", "weights": "resnet.safetensors"}. The images of a timm network are normalised as its
+            `pretrained_cfg` says. The methods joint and end_to_end train a module with the lens; all others leave it as
+            it is.
         loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image.
         start: file of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
             stay, and limits that it violates are relaxed to its own values.
@@ -93,13 +93,17 @@ def design_lens(
     if unknown := [key for key in settings if key not in keywords]:
         raise InputError(f"{unknown[0]}: unknown keyword{suggestion(unknown[0], keywords)}")
 
+    network = settings.get("network")
+    if method in single.TRAINING and isinstance(network, Mapping):
+        raise InputError(f"network: {method} trains it with the lens; give a torch.nn.Module, so that you have both")
+
     def warn(remark: str) -> None:
         where = f"{settings['start']}: " if isinstance(settings["start"], str | Path) else ""
         warnings.warn(f"{where}{remark}", stacklevel=5)
 
     result = designs(method, elements, remark=warn, **settings)
-    if result.trained_weights is not None and settings.get("network") is not None:
-        settings["network"].load_state_dict(result.trained_weights)
+    if result.trained_weights is not None and isinstance(network, nn.Module):
+        network.load_state_dict(result.trained_weights)
     return result.lens, result.view, result.notes
 
 
@@ -113,8 +117,7 @@ def designs(
     catalogues: str | Path | Sequence[str | Path] = (),
     images: Any = None,
     size: int = 224,
-    classifier: Mapping[str, Any] | None = None,
-    network: nn.Module | None = None,
+    network: nn.Module | Mapping[str, Any] | None = None,
     loss: Loss | None = None,
     start: str | Path | tuple[Lens, View] | None = None,
     free: Mapping[str, Sequence[int] | None] | None = None,
@@ -131,10 +134,11 @@ def designs(
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
     method = method or ("least_squares" if start is None else "spot")
-    if loss is not None and network is None and classifier is None:
+    if loss is not None and network is None:
         raise InputError("loss: only with a `network`; omit it, or give one")
     section, dataset = _images(images, size, held_out)
-    user = Supervisors(dataset, network, None if loss is None else UserTask(loss))
+    classifier, module = (network, None) if isinstance(network, Mapping) else (None, network)
+    user = Supervisors(dataset, module, None if loss is None else UserTask(loss))
     catalogues = [catalogues] if isinstance(catalogues, str | Path) else catalogues
     files = [str(path) for path in catalogues]
     if start is not None:
@@ -165,7 +169,7 @@ def designs(
         section,
         classifier,
         baselines=baselines,
-        network_given=network is not None,
+        network_given=module is not None,
     )
     for name, entry in study.lenses.items():
         if len(start_names := starts(study, name)) > 1:

@@ -110,7 +110,7 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
         return Supervisors()
     device, network = claim(), user.network
     if not isinstance(network, nn.Module | None):
-        raise InputError(f"network: expected a torch.nn.Module, got {type(network).__name__}")
+        raise InputError(f"network: expected a torch.nn.Module or its settings, got {type(network).__name__}")
     if classified and network is None:  # checked before photographs are read
         settings, classes = study.classifier(study.supervisor), _classes(study, user)
         classifiers.check(study.supervisor, settings, study.images.size, len(classes))

@@ -14,6 +14,7 @@ from tasklens.study.study import Study
 
 ELEMENTS = "lens"  # name of its elements
 NETWORK = "network"
+TRAINING = ("joint", "end_to_end")  # methods that train the network with the lens
 _FIRST = "least_squares"  # designed first if a design starts from the best imaging lens
 _SIDE = 64  # of rendered images [pixels]
 
@@ -81,7 +82,7 @@ def study(
         result = parse(content | {"designs": designs | others | {method: last}})
     given, classified = classifier is not None or network_given, any(lens.classified for lens in result.lenses.values())
     if classified and not given:
-        raise InputError(f"method {method}: needs a network: --network NAME --weights FILE, in Python `classifier`")
+        raise InputError(f"method {method}: needs a network: --network NAME --weights FILE, in Python `network`")
     if given and not classified:
         raise InputError(f"method {method}: has no network; choose task, joint or end_to_end, or give no network")
     if images is not None and not any(lens.supervised for lens in result.lenses.values()):
