@@ -1,4 +1,4 @@
-"""Captures by `PsfCamera.grid` against `torch.nn.functional.conv2d`: time, and the largest differences.
+"""Captures by `PsfCamera.all_fields` against `torch.nn.functional.conv2d`: time, and the largest differences.
 
 51 x 51 PSFs at nine fields, reflected borders, the same veil; forward, and forward with backward to the PSFs. Two ways
 to convolve directly: `plain`, which a user would write, with the colours as groups and the fields as output channels;
@@ -43,7 +43,7 @@ def fastest(psf: Tensor, images: Tensor) -> Tensor:
 
 
 def camera(psf: Tensor, images: Tensor) -> Tensor:
-    return PsfCamera(psf).grid(images)
+    return PsfCamera(psf).all_fields(images)
 
 
 def differences(render: Callable, other: Callable, psf: Tensor, images: Tensor, upstream: Tensor) -> str:

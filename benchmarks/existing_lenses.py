@@ -413,7 +413,7 @@ def captures(cases: list[Case], tiny: bool) -> Iterator[tuple]:
         centre = chief_points(case.lens, case.view)
         pitch = max(1.8, _WIDEST * float(1e3 * rms_spot_radius(rays, centroid(rays)).nan_to_num().max()) / 51)
         grids = [
-            PsfCamera(psf(item, centre, pitch, 51).expand(-1, 3, -1, -1).float()).grid(images)
+            PsfCamera(psf(item, centre, pitch, 51).expand(-1, 3, -1, -1).float()).all_fields(images)
             for item in (rays, theirs)
         ]
         complete = (rays.valid == theirs.valid).all((1, 2))  # if one program loses rays, nothing can be compared

@@ -101,4 +101,4 @@ def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, i
 def _validation_psnr(network: NAFNet, minival: ImageDataset, camera: PsfCamera) -> float:
     """Compute the mean PSNR [dB] over images and fields."""
     images, _ = minival.batch(torch.arange(min(_VALIDATION_IMAGES, len(minival))))
-    return float(torch.stack([psnr(network(captures), images).mean() for captures in camera.grid(images)]).mean())
+    return float(torch.stack([psnr(network(captures), images).mean() for captures in camera.all_fields(images)]).mean())

@@ -142,14 +142,14 @@ class PsfCamera:
         colour: convolution of sRGB values ("srgb", our interpretation of the paper) or of "linear" light; None: linear
             with a sensor, sRGB without one.
         sensor: sensor; None: no noise and no quantisation.
-        illumination: (F,) relative illumination of the fields, for a sensor; None: 1 everywhere.
+        illumination: (F,) relative illumination of the fields, only with a sensor; None: 1 everywhere.
 
     Raises:
         InputError: PSFs of another shape, or another argument that is unknown.
 
     Example:
         >>> camera = tasklens.PsfCamera(tasklens.psf(lens, view).float())
-        >>> captures = camera.single(images, torch.tensor([0, 8]))  # images (2, 3, H, W): on the axis, in the corner
+        >>> captures = camera(images, torch.tensor([0, 8]))  # images (2, 3, H, W): on the axis, in the corner
     """
 
     def __init__(
@@ -166,6 +166,10 @@ class PsfCamera:
                 f"psf: expected (fields, 3 colours, K, K) with an odd K, got {tuple(psf.shape)}; `view.in_colours()` "
                 "has red, green and blue"
             )
+        if illumination is not None and sensor is None:
+            raise InputError("illumination: only with a `sensor`, which corrects it after the exposure")
+        if illumination is not None and illumination.shape != psf.shape[:1]:
+            raise InputError(f"illumination: expected ({len(psf)},), got {tuple(illumination.shape)}")
         if outside_window == "renormalise":
             psf = psf / psf.sum((-2, -1), keepdim=True).clamp(min=1e-12)
         self.psf = psf.float()
@@ -177,9 +181,10 @@ class PsfCamera:
     @classmethod
     def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor) -> "PsfCamera":
         """Build the camera for capture settings, from the PSFs and relative illumination of a PSF file."""
-        return cls(psf, capture.outside_window, capture.colour, capture.sensor, illumination)
+        light = None if capture.sensor is None else illumination
+        return cls(psf, capture.outside_window, capture.colour, capture.sensor, light)
 
-    def grid(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    def all_fields(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
 
         `generator` draws the noise, image by image; without a generator, the noise is the same at every call.
@@ -197,13 +202,13 @@ class PsfCamera:
         sample = noise(output.transpose(0, 1).shape, generator).transpose(0, 1)
         return self._developed(output, illumination, sample)
 
-    def single(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
+    def __call__(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).
 
         A sensor needs `noise`: standard normal numbers in the shape of the images.
 
         Raises:
-            InputError: a field that these PSFs do not have, or no noise for a sensor.
+            InputError: a field that these PSFs do not have, or no noise for a sensor, or noise without one.
         """
         order: list[int] = []  # image indices sorted by field, an even number per field
         runs = []
@@ -214,6 +219,8 @@ class PsfCamera:
             )
         if self.sensor is not None and noise is None:
             raise InputError("noise: expected standard normal numbers in the shape of the images, for the sensor")
+        if self.sensor is None and noise is not None:
+            raise InputError("noise: only for a camera with a `sensor`")
         for field in sorted(set(numbers)):
             indices = [image for image, other in enumerate(numbers) if other == field]
             start = len(order) // 2

@@ -41,11 +41,11 @@ def at(content, key: str, value):
 def study(case: Mapping) -> list[str]:
     text = yaml.safe_dump(changed(tiny_study(), case["key"], case["value"]), allow_unicode=True, sort_keys=False)
     write("study.yaml", text.replace("PLASTICS", str(PLASTICS)).replace("PROGRAM", __file__))
-    return ["study", "check", "study.yaml", "--no-weights"]
+    return ["study", "check", "study.yaml", "--no-weight-files"]
 
 
 def network(case: Mapping) -> list[str]:
-    return [*study(case), "--networks"]
+    return [*study(case), "--build-networks"]
 
 
 def text(case: Mapping) -> list[str]:

@@ -72,7 +72,9 @@ def lenses(workplace):
 def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
     """It frees no memory at exit, but its output to a pipe is complete."""
     program = [sys.executable, "-m", "tasklens.cli"]
-    done = subprocess.run([*program, "study", "check", "--no-weights", "study.yaml"], capture_output=True, text=True)
+    done = subprocess.run(
+        [*program, "study", "check", "--no-weight-files", "study.yaml"], capture_output=True, text=True
+    )
     assert (done.returncode, done.stdout) == (0, "tiny: 6 lenses, 2 classifiers, seeds [0]\n")
     done = subprocess.run([*program, "study", "check", "absent.yaml"], capture_output=True, text=True)
     assert done.returncode == 2 and "absent.yaml" in done.stderr
@@ -158,9 +160,9 @@ def test_an_imported_lens_goes_the_same_way(tmp_path, monkeypatch, capsys):
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4
     assert content["figures"]["efl_mm"] == pytest.approx(content["spec"]["efl_mm"], rel=1e-12)
     assert result("tiny", "figures/triplet-cooke-seed0.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
-    assert main(["study", "check", "--no-weights", "imported.yaml"]) == 0
+    assert main(["study", "check", "--no-weight-files", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
-    assert main(["study", "check", "--no-weights", "imported.yaml"]) == 2
+    assert main(["study", "check", "--no-weight-files", "imported.yaml"]) == 2
     assert "theirs.yaml: does not cover the field" in capsys.readouterr().err
 
 

@@ -65,7 +65,7 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_
             )
             grid.backward(upstream.double())
         else:
-            direct_losses = whole_losses(criterion, PsfCamera(grid, colour=colour).grid(images), images, labels)
+            direct_losses = whole_losses(criterion, PsfCamera(grid, colour=colour).all_fields(images), images, labels)
             direct_losses.mean().backward()
         gradients.append(torch.cat([values[name].grad for name in values]))
     torch.testing.assert_close(losses, direct_losses.mean(1).detach().to(losses), rtol=1e-5, atol=0)
@@ -80,7 +80,7 @@ def test_weights_of_fields_are_those_of_the_gradient(start):
     grid, weights = coarse_psfs(start).detach().float(), torch.linspace(0.5, 1.5, 9)
     losses, gradient = loss_at_psf(TaskLoss(network), images, labels, grid, CaptureSettings(), 7, weights=weights)
     leaf = grid.clone().requires_grad_()
-    direct = whole_losses(TaskLoss(network), PsfCamera(leaf).grid(images), images, labels).mean(1) * weights
+    direct = whole_losses(TaskLoss(network), PsfCamera(leaf).all_fields(images), images, labels).mean(1) * weights
     direct.mean().backward()
     torch.testing.assert_close(losses, direct.detach(), rtol=1e-5, atol=0)
     torch.testing.assert_close(gradient, leaf.grad, rtol=1e-4, atol=1e-5 * float(leaf.grad.abs().max()))

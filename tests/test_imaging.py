@@ -45,14 +45,14 @@ def direct(images: torch.Tensor, psf: torch.Tensor) -> torch.Tensor:
 @pytest.mark.parametrize("shape", [(25, 32), (16, 16), (64, 64), (37, 41)])
 def test_grid_is_a_convolution_with_a_veil(shape):
     images, psf = random_images(0, *shape), random_psf(1)
-    torch.testing.assert_close(PsfCamera(psf).grid(images), direct(images, psf), rtol=0, atol=1e-5)
+    torch.testing.assert_close(PsfCamera(psf).all_fields(images), direct(images, psf), rtol=0, atol=1e-5)
 
 
 def test_the_largest_kernel_that_reflection_allows():
     images, psf = random_images(0, 16, 16), random_psf(1, 31)
-    torch.testing.assert_close(PsfCamera(psf).grid(images), direct(images, psf), rtol=0, atol=1e-5)
+    torch.testing.assert_close(PsfCamera(psf).all_fields(images), direct(images, psf), rtol=0, atol=1e-5)
     with pytest.raises(ValueError, match=r"15 x 16.*31"):
-        PsfCamera(psf).grid(images[..., :15, :])
+        PsfCamera(psf).all_fields(images[..., :15, :])
 
 
 def test_light_moves_with_the_psf():
@@ -60,7 +60,7 @@ def test_light_moves_with_the_psf():
     grid = torch.zeros(F, 3, K, K)
     grid[..., K // 2 + 1, K // 2 + 2] = 1
     images = random_images(2)
-    moved = PsfCamera(grid).grid(images)
+    moved = PsfCamera(grid).all_fields(images)
     torch.testing.assert_close(moved[0, :, :, 1:, 2:], images[:, :, :-1, :-2], rtol=0, atol=1e-6)
 
 
@@ -69,7 +69,7 @@ def test_light_moves_with_the_psf():
 def test_an_impulse_changes_nothing(colour, outside_window):
     """A perfect lens is the identity, also with conversion to linear light and back."""
     images = random_images(3)
-    captures = PsfCamera(impulse(), outside_window, colour).grid(images)
+    captures = PsfCamera(impulse(), outside_window, colour).all_fields(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=3e-5 if colour == "linear" else 1e-6)
 
 
@@ -78,7 +78,7 @@ def test_an_impulse_changes_nothing(colour, outside_window):
 def test_a_uniform_image_stays_uniform(colour, outside_window):
     """Blur cannot change a uniform image, whatever the energy in the window."""
     images = torch.tensor([0.2, 0.5, 0.9])[:, None, None].expand(B, 3, 20, 20)
-    captures = PsfCamera(random_psf(4), outside_window, colour).grid(images)
+    captures = PsfCamera(random_psf(4), outside_window, colour).all_fields(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=2e-5)
 
 
@@ -89,7 +89,7 @@ def test_mean_flux_is_conserved(outside_window):
     border = torch.zeros(40, 40)
     border[K:-K, K:-K] = 1
     images = images * border
-    captures = PsfCamera(random_psf(6), outside_window).grid(images)
+    captures = PsfCamera(random_psf(6), outside_window).all_fields(images)
     expected = images.mean((-2, -1)).expand(F, B, 3)
     torch.testing.assert_close(captures.mean((-2, -1)), expected, rtol=0, atol=1e-6)
 
@@ -98,12 +98,12 @@ def test_renormalising_deletes_the_veil():
     """It equals a PSF of unit energy; with a veil the contrast is multiplied by the energy in the window."""
     images, psf = random_images(7), random_psf(8)
     energy = psf.sum((-2, -1), keepdim=True)
-    renormalised = PsfCamera(psf, "renormalise").grid(images)
-    torch.testing.assert_close(renormalised, PsfCamera(psf / energy).grid(images), rtol=0, atol=1e-6)
+    renormalised = PsfCamera(psf, "renormalise").all_fields(images)
+    torch.testing.assert_close(renormalised, PsfCamera(psf / energy).all_fields(images), rtol=0, atol=1e-6)
     mean = images.mean((-2, -1), keepdim=True)
     inside = energy[:, None]
     expected = inside * renormalised + (1 - inside) * mean
-    torch.testing.assert_close(PsfCamera(psf).grid(images), expected, rtol=0, atol=1e-6)
+    torch.testing.assert_close(PsfCamera(psf).all_fields(images), expected, rtol=0, atol=1e-6)
 
 
 def test_light_adds_up_linearly():
@@ -114,7 +114,7 @@ def test_light_adds_up_linearly():
     images[..., ::2] = 1
     encoded = 1.055 * 0.5 ** (1 / 2.4) - 0.055  # IEC 61966-2-1
     for colour, value in (("srgb", 0.5), ("linear", encoded)):
-        captures = PsfCamera(grid, colour=colour).grid(images)[..., 2:-2]
+        captures = PsfCamera(grid, colour=colour).all_fields(images)[..., 2:-2]
         torch.testing.assert_close(captures, torch.full_like(captures, value), rtol=0, atol=1e-5)
 
 
@@ -122,8 +122,8 @@ def test_light_adds_up_linearly():
 def test_single_is_one_field_of_the_grid(colour):
     images, camera = random_images(9), PsfCamera(random_psf(10), colour=colour)
     fields = torch.tensor([3, 0, 3])
-    expected = camera.grid(images)[fields, torch.arange(B)]
-    torch.testing.assert_close(camera.single(images, fields), expected, rtol=0, atol=1e-6)
+    expected = camera.all_fields(images)[fields, torch.arange(B)]
+    torch.testing.assert_close(camera(images, fields), expected, rtol=0, atol=1e-6)
 
 
 def test_one_camera_renders_images_of_several_sizes():
@@ -132,17 +132,17 @@ def test_one_camera_renders_images_of_several_sizes():
     camera = PsfCamera(psf)
     for shape in ((25, 32), (32, 25), (20, 20), (25, 32)):
         images = random_images(12, *shape)
-        torch.testing.assert_close(camera.grid(images), PsfCamera(psf).grid(images), rtol=0, atol=0)
+        torch.testing.assert_close(camera.all_fields(images), PsfCamera(psf).all_fields(images), rtol=0, atol=0)
 
 
 def test_many_images_are_rendered_like_few():
     """Images do not affect each other, however many there are."""
     images = torch.rand(20, 3, 16, 16, generator=torch.Generator().manual_seed(16))
     camera = PsfCamera(random_psf(17))
-    captures = torch.cat([camera.grid(image[None]) for image in images], 1)
-    torch.testing.assert_close(camera.grid(images), captures, rtol=0, atol=1e-6)
+    captures = torch.cat([camera.all_fields(image[None]) for image in images], 1)
+    torch.testing.assert_close(camera.all_fields(images), captures, rtol=0, atol=1e-6)
     fields = torch.arange(20) % len(camera.psf)
-    torch.testing.assert_close(camera.single(images, fields), captures[fields, torch.arange(20)], rtol=0, atol=1e-6)
+    torch.testing.assert_close(camera(images, fields), captures[fields, torch.arange(20)], rtol=0, atol=1e-6)
 
 
 FIELDS = torch.tensor([3, 0, 3])
@@ -152,9 +152,9 @@ FIELDS = torch.tensor([3, 0, 3])
 @pytest.mark.parametrize(
     "render, reference",
     [
-        (lambda psf, images: PsfCamera(psf).grid(images), lambda psf, images: direct(images, psf)),
+        (lambda psf, images: PsfCamera(psf).all_fields(images), lambda psf, images: direct(images, psf)),
         (
-            lambda psf, images: PsfCamera(psf).single(images, FIELDS),
+            lambda psf, images: PsfCamera(psf)(images, FIELDS),
             lambda psf, images: direct(images, psf)[FIELDS, torch.arange(B)],
         ),
     ],
@@ -186,9 +186,15 @@ def test_psnr_is_taken_per_image():
         (lambda psf, images: PsfCamera(psf, "remove"), "outside_window: expected veil or renormalise, got 'remove'"),
         (lambda psf, images: PsfCamera(psf, colour="lineaR"), "colour: expected srgb or linear, got 'lineaR'"),
         (lambda psf, images: PsfCamera(psf, sensor=6000), "sensor: expected a tasklens.SensorSettings, got 6000"),
-        (lambda psf, images: PsfCamera(psf).single(images, torch.tensor([-1, 0])), "fields: expected indices from 0"),
-        (lambda psf, images: PsfCamera(psf).single(images, torch.tensor([0, 99])), "got 0 to 99"),
-        (lambda psf, images: PsfCamera(psf, sensor=SensorSettings()).single(images, torch.tensor([0, 0])), "noise:"),
+        (lambda psf, images: PsfCamera(psf)(images, torch.tensor([-1, 0])), "fields: expected indices from 0"),
+        (lambda psf, images: PsfCamera(psf)(images, torch.tensor([0, 99])), "got 0 to 99"),
+        (lambda psf, images: PsfCamera(psf, sensor=SensorSettings())(images, torch.tensor([0, 0])), "noise: expected"),
+        (lambda psf, images: PsfCamera(psf)(images, torch.tensor([0, 0]), images), "noise: only for a camera with"),
+        (lambda psf, images: PsfCamera(psf, illumination=torch.ones(len(psf))), "illumination: only with a `sensor`"),
+        (
+            lambda psf, images: PsfCamera(psf, sensor=SensorSettings(), illumination=torch.ones(9)),
+            r"illumination: expected \(4,\), got \(9,\)",
+        ),
     ],
 )
 def test_what_a_camera_cannot_use(call, words):

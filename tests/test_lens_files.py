@@ -11,6 +11,7 @@ import yaml
 from examples import cooke_triplet, f64, make_lens
 
 import tasklens
+from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.io import lens_files, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
@@ -166,6 +167,21 @@ def test_a_near_object_is_where_a_lens_file_of_ours_has_it(tmp_path):
     view = View(f64([[0.0, 0.0], [0.0, 10.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
     prescription.write(tmp_path / "lens.yaml", lens_data, tasklens.notebook.described(lens_data.lens, view, rays=64))
     assert lens_files.read(tmp_path / "lens.yaml").view.object_vergence == 1 / 300
+
+
+@pytest.mark.parametrize("name", ["lens.yaml", "lens.zmx"])
+def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
+    """Its image goes back by f^2 / (s - f), about 10 mm."""
+    view = View(f64([[0.0, 0.0], [0.0, 2.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
+    near = refocused(cooke_triplet(), view, 256)
+    lens_data = prescription.with_system_data(Prescription(near, object_distance_mm=300.0), view)
+    lens_files.write(tmp_path / name, lens_data, tasklens.notebook.described(near, view, rays=64))
+    assert torch.equal(lens_files.read(tmp_path / name).lens.thickness, near.thickness)
+    with pytest.warns(UserWarning, match="object at 300 mm in the file: refocused for infinity"):
+        far, _ = tasklens.load_lens(tmp_path / name, object_distance_mm=math.inf)
+    infinity = refocused(cooke_triplet(), replace(view, object_vergence=0.0), 256)
+    assert float(far.thickness[-1]) == pytest.approx(float(infinity.thickness[-1]), abs=0.01)
+    assert float(near.thickness[-1] - far.thickness[-1]) == pytest.approx(10, abs=1)
 
 
 def test_a_laser_lens_at_its_own_wavelength(tmp_path):

@@ -225,7 +225,7 @@ def test_a_lens_typed_surface_by_surface():
     assert max(figures["angle_deg"]) == pytest.approx(20, abs=1e-9) and lens.stop == 3
     focused, _ = tasklens.lens([*COOKE[:-1], {"radius": -18.39533}], field_of_view_deg=40, f_number=5)
     assert float(focused.thickness[-1]) == pytest.approx(42.2, abs=0.3)
-    asphere = {**COOKE[0], "conic": -0.5, "coefficients": [0, 1e-6], "semi_diameter": 9.0}
+    asphere = {**COOKE[0], "conic": -0.5, "alpha_4": 1e-6, "semi_diameter": 9.0}
     typed, _ = tasklens.lens([asphere, *COOKE[1:]], field_of_view_deg=40, f_number=5)
     assert typed.alpha[0].tolist() == [0, 1e-6] and float(typed.conic[0]) == -0.5 and float(typed.semi_diameter[0]) == 9
 
@@ -241,7 +241,7 @@ def test_a_lens_typed_surface_by_surface():
         (2, {"material": "F22"}, "unknown glass 'F22'"),
         (4, {"stop": True}, "expected `stop` at one surface, got 2"),
         (0, {"conic": float("inf")}, "surface 0: conic: expected a number, got inf"),
-        (0, {"coefficients": [None]}, "surface 0: coefficients: expected a number, got None"),
+        (0, {"alpha_4": None}, "surface 0: alpha_4: expected a number, got None"),
     ],
 )
 def test_a_typed_lens_that_cannot_be(surface, change, words):
@@ -286,10 +286,7 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             "object_distance_mm: expected a number",
         ),
         (lambda lens, view: tasklens.lens([{"radius": 5, "material": 1.5, "stop": True}], 40, 5), "name of a glass"),
-        (
-            lambda lens, view: tasklens.lens([{"radius": 5, "coefficients": 1e-4}], 40, 5),
-            "coefficients: expected a list",
-        ),
+        (lambda lens, view: tasklens.lens([{"radius": 5, "alpha_3": 1e-4}], 40, 5), "unknown key 'alpha_3'"),
         (lambda lens, view: tasklens.Camera(lens, view, free={"curvature": 1}), "free: expected surfaces by variable"),
         (lambda lens, view: tasklens.Camera(lens, view, free=["curvature"]), "free: expected surfaces by variable"),
         (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None], torch.tensor([9])), "an index from 0 to 8"),
@@ -313,11 +310,33 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             "images of 8 x 8 pixels are too small for a kernel of 51",
         ),
         (lambda lens, view: tasklens.design_lens("spot", free={"curvature": None}), "free: only with `start`"),
+        (
+            lambda lens, view: tasklens.design_lens("spot", ["PMMA"], start=(lens, view)),
+            "elements: not with `start`, whose glasses stay",
+        ),
+        (
+            lambda lens, view: tasklens.design_lens("spot", start=(lens, view), settings={"free": {}}),
+            "free: no setting with the lens of `start`; give it as `free`",
+        ),
+        (lambda lens, view: tasklens.design_lens("spot", size=64), "size: only for the photographs of a folder"),
+        (lambda lens, view: replace(view, kernel_size=50), "kernel_size: expected an odd number of pixels, got 50"),
     ],
 )
 def test_arguments_that_cannot_be_used(doublet, call, words):
     with pytest.raises(InputError, match=words):
         call(*doublet)
+
+
+def test_a_catalogue_of_others_is_not_overwritten(doublet, tmp_path):
+    """A lens with glasses that OpticStudio lacks has a catalogue of its name; one of a maker stays."""
+    catalogue = tmp_path / "lens.agf"
+    for _ in range(2):
+        tasklens.save_lens(tmp_path / "lens.zmx", *doublet)
+    assert "OKP4" in catalogue.read_text()
+    catalogue.write_text("CC of a maker")
+    with pytest.raises(InputError, match=r"lens\.agf: already exists, and is not ours; choose another name"):
+        tasklens.save_lens(tmp_path / "lens.zmx", *doublet)
+    assert catalogue.read_text() == "CC of a maker"
 
 
 def test_colours_do_not_depend_on_the_order_of_wavelengths(doublet):

@@ -133,7 +133,14 @@ def test_single_errors_and_allotted_tolerances():
 
 
 def distribution_of(*accuracies: float) -> list[dict]:
-    same = {"worst_field_accuracy": 0.0, "loss": 0.0, "rms_spot_um": 2.0, "mtf": 0.5, "focus_um": 0.0, "failed": 0}
+    same = {
+        "worst_field_accuracy": 0.0,
+        "loss": 0.0,
+        "rms_spot_um": 2.0,
+        "mtf_quarter_nyquist": 0.5,
+        "focus_um": 0.0,
+        "failed": 0,
+    }
     return [{"lens": k, "accuracy": accuracy, **same} for k, accuracy in enumerate(accuracies)]
 
 

@@ -221,7 +221,7 @@ def test_built_lenses_and_a_sieve(here, capfd):
     assert content["figures"]["object_distance_mm"] == pytest.approx(100)
     left = set(study["ranking"]["mtf"]) - {f"lens-{name}" for name in study["imported"]}
     assert len(left) == 1 and study["capture"]["sensor"]["full_well"] == 500
-    assert all(study["ranking"]["mtf"][name] <= min(table["mtf"]) for name in left)
+    assert all(study["ranking"]["mtf"][name] <= min(table["mtf_mean"]) for name in left)
 
 
 @pytest.mark.slow
@@ -247,6 +247,8 @@ def test_a_network_that_gets_used_to_each_lens(here):
             "none of the lenses can be measured: narrow: covers",
         ),
         ((*COMMAND, *SENSOR, "--as-built", "1", "--diffraction"), "--as-built: not with --diffraction"),
+        ((*COMMAND, *SENSOR, "--grade", "phone_moulding"), "--grade: only with --as-built COUNT"),
+        ((*COMMAND, *SENSOR, "--name", "My-Lenses"), "name = 'My-Lenses'"),
         ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected greater than 0"),
         ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),
     ],
@@ -254,6 +256,11 @@ def test_a_network_that_gets_used_to_each_lens(here):
 def test_mistakes_are_one_line(here, capsys, arguments, words):
     assert main(list(arguments)) == 2
     assert words in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_wrong_name_is_refused_before_lenses_are_read(here, capsys):
+    assert main([*COMMAND, *SENSOR, "--name", "My-Lenses"]) == 2
+    assert "reading lenses" not in capsys.readouterr().err
 
 
 def test_a_network_that_recognises_nothing_ranks_nothing(here, capsys):
@@ -289,7 +296,7 @@ def test_ranking_in_python_agrees_with_the_command(here):
     shutil.rmtree("results", ignore_errors=True)
 
 
-def test_lenses_are_screened_for_a_sensor(here):
+def test_lenses_are_screened_for_a_sensor(here, capsys):
     """Lenses keep size and F-number; with `scaled`, a narrow lens is enlarged until its field fills the sensor."""
     paths = pipeline.lens_paths([here / "lenses"])
     assert [path.name for path in paths] == ["Fast.2.yaml", "narrow.yaml", "notes.yaml", "sharp.yaml", "sharp_too.zmx"]
@@ -301,6 +308,9 @@ def test_lenses_are_screened_for_a_sensor(here):
     focal_length = tasklens.load_lens(here / "lenses/sharp.yaml")[1].efl
     half = numpy.radians(screened.entries["sharp"]["spec"]["field_of_view_deg"] / 2)
     assert 0.5 / numpy.tan(half) == pytest.approx(focal_length, rel=1e-3)
+    assert "ranked at" not in capsys.readouterr().err
+    pipeline.screen(paths, sensor | {"wavelengths_um": (0.9, 0.85, 0.8)}, [], scaled=False)
+    assert "is designed for 0.6563, 0.5893, 0.4861 um, and ranked at 0.9, 0.85, 0.8 um" in capsys.readouterr().err
     scaled = pipeline.screen(paths, sensor, [], scaled=True)
     assert scaled.entries["narrow"]["spec"]["field_of_view_deg"] == pytest.approx(10, rel=1e-6)
 

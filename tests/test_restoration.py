@@ -95,7 +95,7 @@ def test_training_restores_and_is_deterministic():
     network, _ = training.train(TINY, sharp, minival, blurred(), 0)
     assert not network.training
     images, _ = sharp.batch(torch.arange(16))
-    captures = blurred().single(images, torch.zeros(16, dtype=torch.long))
+    captures = blurred()(images, torch.zeros(16, dtype=torch.long))
     with torch.no_grad():
         gain = (psnr(network(captures), images) - psnr(captures, images)).mean()
     assert gain > 0.5
@@ -117,7 +117,9 @@ def test_learning_rate_falls_to_zero_and_the_last_network_is_returned():
     assert rates[-1] < 0.01 * TINY.learning_rate
     images, _ = minival.batch(torch.arange(8))
     with torch.no_grad():
-        again = torch.stack([psnr(network(captures), images).mean() for captures in blurred().grid(images)]).mean()
+        again = torch.stack(
+            [psnr(network(captures), images).mean() for captures in blurred().all_fields(images)]
+        ).mean()
     assert float(again) == pytest.approx(history[-1]["psnr_db"], abs=1e-5)
 
 
@@ -125,7 +127,7 @@ def test_crops_train_a_network_for_whole_captures():
     """Captures and images are cut alike, and a crop as large as the image is the image."""
     sharp, minival = random_images(16, 32, 2, seed=0), random_images(8, 32, 2, seed=1)
     images, _ = minival.batch(torch.arange(8))
-    captures = blurred().single(images, torch.zeros(8, dtype=torch.long))
+    captures = blurred()(images, torch.zeros(8, dtype=torch.long))
     before = psnr(captures, images).mean()
     _, history = training.train(TINY.model_copy(update={"crop": 16, "steps": 200}), sharp, minival, blurred(), 0)
     assert history[-1]["psnr_db"] > before + 0.5

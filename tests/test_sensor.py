@@ -69,7 +69,7 @@ def test_gradient_against_differences():
 def test_dim_fields_are_noisier_and_as_bright():
     camera = PsfCamera(point(2), sensor=SensorSettings(gain=16, **FINE), illumination=torch.tensor([1.0, 0.25]))
     grey = torch.full((4, 3, 64, 64), 0.5)
-    captures = rgb_to_linear_rgb(camera.grid(grey).double())
+    captures = rgb_to_linear_rgb(camera.all_fields(grey).double())
     assert float(captures[1].mean() / captures[0].mean()) == pytest.approx(1, abs=5e-3)
     light, white = float(rgb_to_linear_rgb(grey.double())[0, 0, 0, 0]), 6000 / 16
     relative = [math.sqrt(white * share * light + 4) / share for share in (1.0, 0.25)]
@@ -97,7 +97,7 @@ def test_the_blur_is_in_the_colour_space_of_the_study_and_the_noise_in_light(col
     images = torch.rand(3, 3, 16, 16, generator=torch.Generator().manual_seed(1))
     sensor = SensorSettings(full_well=1e9, bits=16)
     captures = [
-        PsfCamera(grid, colour=colour, sensor=with_or_without).grid(images) for with_or_without in (None, sensor)
+        PsfCamera(grid, colour=colour, sensor=with_or_without).all_fields(images) for with_or_without in (None, sensor)
     ]
     torch.testing.assert_close(captures[1], captures[0], rtol=0, atol=5e-4)
 

@@ -202,7 +202,7 @@ def test_commands_know_the_points(tmp_path, monkeypatch, capsys):
     names = ["tiny", "tiny/spec.f_number=2.0", "tiny/spec.f_number=2.8"]
     assert report["study"] == "tiny" and [point["study"] for point in report["points"]] == names
     assert report["points"][1]["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
-    assert main(["study", "check", "study.yaml", "--no-weights"]) == 0
+    assert main(["study", "check", "study.yaml", "--no-weight-files"]) == 0
     assert [line.split(":")[0] for line in capsys.readouterr().out.splitlines()] == names[1:]
     for point in ("spec.f_number=2.0", "spec.f_number=2.8"):
         runs.Run(f"tiny/{point}", f"results/tiny/{point}", 2, {"images": runs.Job("images")}).save()

@@ -37,8 +37,8 @@ def test_a_disc_of_even_light(monkeypatch):
     row, _ = tail_of(monkeypatch, 10 * sobol_disc(4096, 0), centre=(300.0, -200.0))
     assert row["core_radius_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
     assert row["radius_80_um"] == pytest.approx(10 * math.sqrt(0.8), rel=2e-3)
-    assert row["rms_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
-    assert row["tail_energy"] == row["outside_window"] == 0
+    assert row["rms_chief_ray_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
+    assert row["tail_energy"] == row["energy_outside_window"] == 0
 
 
 def test_a_gaussian_spot(monkeypatch):
@@ -48,7 +48,7 @@ def test_a_gaussian_spot(monkeypatch):
     points = torch.stack([u, v], -1) * (torch.sqrt(-2 * torch.log1p(-radius)) / torch.sqrt(radius))[:, None] * 5
     row, curve = tail_of(monkeypatch, points)
     assert row["core_radius_um"] == pytest.approx(5 * math.sqrt(2 * math.log(2)), rel=2e-3)
-    assert row["rms_um"] / row["core_radius_um"] == pytest.approx(1 / math.sqrt(math.log(2)), rel=1e-2)
+    assert row["rms_chief_ray_um"] / row["core_radius_um"] == pytest.approx(1 / math.sqrt(math.log(2)), rel=1e-2)
     assert row["tail_energy"] == pytest.approx(2**-9, rel=0.1)
     expected = 1 - torch.exp(-0.5 * (f64(RADII_UM) / 5) ** 2)
     torch.testing.assert_close(f64(curve["fraction"].tolist()), expected, rtol=0, atol=2e-3)
@@ -60,8 +60,8 @@ def test_a_core_in_a_halo(monkeypatch):
     valid = torch.tensor([True] * 9 + [False])[None, None]
     row, curve = tail_of(monkeypatch, points, valid)
     assert row["core_radius_um"] == pytest.approx(2) and row["radius_80_um"] == pytest.approx(20)
-    assert row["tail_energy"] == pytest.approx(0.4) and row["outside_window"] == pytest.approx(0.2)
-    assert row["rms_um"] == pytest.approx(math.sqrt((6 * 4 + 2 * 400 + 10_000) / 9))
+    assert row["tail_energy"] == pytest.approx(0.4) and row["energy_outside_window"] == pytest.approx(0.2)
+    assert row["rms_chief_ray_um"] == pytest.approx(math.sqrt((6 * 4 + 2 * 400 + 10_000) / 9))
     at = curve.set_index("radius_um")["fraction"]
     assert [at[1.778], at[2.239], at[1000.0]] == pytest.approx([0, 0.6, 0.9])
 
@@ -72,7 +72,7 @@ def test_vignetted_light_is_left_out(monkeypatch):
     valid = torch.tensor([True] * 4 + [False] * 6)[None, None]
     row, curve = tail_of(monkeypatch, points, valid, lost=RayStatus.VIGNETTED)
     assert row["core_radius_um"] == pytest.approx(2) and row["radius_80_um"] == pytest.approx(100)
-    assert row["outside_window"] == row["tail_energy"] == pytest.approx(0.25)
+    assert row["energy_outside_window"] == row["tail_energy"] == pytest.approx(0.25)
     assert curve.set_index("radius_um")["fraction"][1000.0] == 1
 
 
@@ -80,7 +80,7 @@ def test_a_field_without_a_core_has_no_tail_energy(monkeypatch):
     points, lost = torch.zeros(4, 2, dtype=torch.float64), torch.tensor([True, False, False, False])[None, None]
     row, _ = tail_of(monkeypatch, points, lost)
     assert math.isinf(row["core_radius_um"]) and math.isnan(row["tail_energy"])
-    assert row["outside_window"] == 0.75
+    assert row["energy_outside_window"] == 0.75
 
 
 def test_encircled_energy_is_a_count():
@@ -103,8 +103,8 @@ def test_figures_agree_with_the_lens_file():
     expected = figures(lens, view, 256)
     for name in ("core_radius_um", "radius_80_um"):
         assert [row[name] for row in by_field] == pytest.approx(expected[name], nan_ok=True)
-    assert [row["rms_um"] for row in by_field] == pytest.approx(expected["rms_chief_ray_um"], nan_ok=True)
-    assert [1 - row["outside_window"] for row in by_field] == pytest.approx(expected["energy_in_window"])
+    assert [row["rms_chief_ray_um"] for row in by_field] == pytest.approx(expected["rms_chief_ray_um"], nan_ok=True)
+    assert [1 - row["energy_outside_window"] for row in by_field] == pytest.approx(expected["energy_in_window"])
     curve = pandas.DataFrame(curve)
     assert set(curve["field"]) == set(range(9)) and curve.groupby("field")["fraction"].is_monotonic_increasing.all()
 
@@ -117,7 +117,7 @@ def test_table_means_over_fields_and_seeds(tmp_path):
         for field, radius in enumerate(core):
             key = {"lens": f"singlet-{design}", "seed": seed, "field": field}
             tail_energy = 0.1 if math.isfinite(radius) else math.nan
-            rows.append(key | {"core_radius_um": radius, "tail_energy": tail_energy, "rms_um": 8})
+            rows.append(key | {"core_radius_um": radius, "tail_energy": tail_energy, "rms_chief_ray_um": 8})
     publish_tails("tiny", rows, tmp_path / "tail.csv", tmp_path / "tail.md")
     table = pandas.read_csv(tmp_path / "tail.csv").set_index("lens")
     a, b = table.loc["singlet-imaging1"], table.loc["singlet-imaging2"]

@@ -237,7 +237,7 @@ def test_the_image_error_alone_makes_a_lens():
     def quality(lens):
         grid = psf(trace_fields(lens, VIEW, sobol_disc(64, 9)), VIEW.fields, 10 * VIEW.pixel_pitch, 11)
         sharp = images.batch(torch.arange(12))[0]
-        return float(psnr(PsfCamera(grid.float()).grid(sharp), sharp).mean())
+        return float(psnr(PsfCamera(grid.float()).all_fields(sharp), sharp).mean())
 
     steps = DescentSettings(steps=20, pixels=(20, 10), criterion="log_image_error")
     posed = replace(problem(), dataset=images)

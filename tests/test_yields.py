@@ -26,7 +26,7 @@ def fine_tolerances():
 
 def spread(tolerances: yields.Tolerances) -> float:
     """RMS deviation of the built lenses' spots from the design's [um]."""
-    return math.sqrt(sum((lens.rms_um - tolerances.design.rms_um) ** 2 for lens in tolerances.built))
+    return math.sqrt(sum((lens.rms_spot_um - tolerances.design.rms_spot_um) ** 2 for lens in tolerances.built))
 
 
 @pytest.mark.slow
@@ -54,10 +54,10 @@ def test_yields_by_hand():
     error_list = errors(lens, Grade(**dict.fromkeys(GRADES["precision_moulding"], 0.0) | {"thickness_um": 1.0}))[:3]
     simulated = yields.Tolerances(yields.Quality(2, 3, 0.6), built, error_list, f64([1.0, 3.0, 2.0]), None, 0.0)
     data = summary(simulated, "mine", 10.0)
-    assert data["yield_by_rms"] == pytest.approx({1.1: 10, 1.25: 15, 1.5: 30, 2.0: 55})
-    assert data["yield_by_mtf"] == pytest.approx({0.95: 10, 0.9: 15, 0.8: 25, 0.6: 45})
-    assert data["yield_95_percent"] == pytest.approx(
-        {"rms_um": 2 * 2.805, "worst_rms_um": 3 + 18.05, "mtf": 0.6 * 0.0975}
+    assert data["yield_by_rms_percent"] == pytest.approx({1.1: 10, 1.25: 15, 1.5: 30, 2.0: 55})
+    assert data["yield_by_mtf_percent"] == pytest.approx({0.95: 10, 0.9: 15, 0.8: 25, 0.6: 45})
+    assert data["at_95_percent_yield"] == pytest.approx(
+        {"rms_spot_um": 2 * 2.805, "rms_spot_worst_um": 3 + 18.05, "mtf_quarter_nyquist": 0.6 * 0.0975}
     )
     assert [row["error"] for row in data["errors"]] == [error_list[k].name for k in (1, 2, 0)]
 
@@ -82,8 +82,8 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["lenses"] == 10 and result["grade"] == "precision_moulding"
     assert (
-        result["yield_by_rms"]["2.0"] >= result["yield_by_rms"]["1.1"]
-        and result["median"]["rms_um"] > result["design"]["rms_um"]
+        result["yield_by_rms_percent"]["2.0"] >= result["yield_by_rms"]["1.1"]
+        and result["median"]["rms_spot_um"] > result["design"]["rms_spot_um"]
     )
     displacements = [error["moved_um"] for error in result["errors"]]
     assert displacements == sorted(displacements, reverse=True)

@@ -30,7 +30,6 @@ _METHOD = (
     "Design method: least_squares (the default), spot (the default with --start), contrast, "
     "log_image_error, correlation; with a network: task, joint, end_to_end."
 )
-_ELEMENTS = "COC,OKP4"
 _START = "Start from a lens file"
 _VERDICT = "Verdict"
 
@@ -40,7 +39,8 @@ def design(
         Path, typer.Option("--output", "-o", help="File of the lens, .yaml or .zmx.", show_default=False)
     ],
     elements: Annotated[
-        str | None, typer.Option(help="Materials from front to back: COC,OKP4, or with choices: COC|PMMA,OKP4|PC.")
+        str | None,
+        typer.Option(help="Materials from front to back, by default COC,OKP4; with choices: COC|PMMA,OKP4|PC."),
     ] = None,
     method: Annotated[str | None, typer.Option(help=_METHOD, show_default=False)] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
@@ -89,7 +89,7 @@ def design(
         str | None, typer.Option(help="Wavelengths (um); by default 0.6563,0.5893,0.4861.", rich_help_panel=_SPEC)
     ] = None,
     images: Images = None,
-    size: Size = 224,
+    size: Size = None,
     network: Network = None,
     weights: Weights = None,
     pretrained: Pretrained = False,
@@ -154,7 +154,7 @@ def design(
     with progress_bars(), _keys_as_options():
         result = single.designs(
             method,
-            (elements or _ELEMENTS).split(","),
+            elements and elements.split(","),
             seed=seed,
             start=start,
             free=None if free is None else _free(free),
@@ -174,12 +174,12 @@ def design(
     if dark:
         hint = "take fewer steps, or smaller ones" if start is not None else "try another --seed"
         raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: {hint}")
-    lens_files.write(output, result.prescription, notes)
-    say_catalogue(output, lens.media)
     if save_network is not None:
         assert result.trained_weights is not None  # by these methods
         write_tensors(save_network, result.trained_weights, {"lens": str(output)})
         say(f"wrote {save_network}")
+    lens_files.write(output, result.prescription, notes)
+    say_catalogue(output, lens.media)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:
         from tasklens.notebook.verdict import verdict as judged
@@ -225,5 +225,8 @@ def _free(text: str) -> dict[str, tuple[int, ...] | None]:
             orders = range(int(first), int(last or first) + 1, 2) if name.startswith("alpha_") else ()
         except ValueError:
             raise InputError(f"--free {part}: expected variables such as curvature,thickness:1+3,alpha_4..10") from None
-        free |= dict.fromkeys([f"alpha_{order}" for order in orders] or [name], surfaces)
+        names = [f"alpha_{order}" for order in orders] or [name]
+        if repeated := free.keys() & set(names):
+            raise InputError(f"--free: {min(repeated)} occurs twice; give its surfaces together, such as {name}:0+1")
+        free |= dict.fromkeys(names, surfaces)
     return free

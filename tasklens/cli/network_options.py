@@ -22,7 +22,9 @@ SaveNetwork = Annotated[
     Path | None,
     typer.Option(help="File for the network that joint or end_to_end trains, .safetensors.", rich_help_panel=_PANEL),
 ]
-Size = Annotated[int, typer.Option(help="Side of the images (pixels).", rich_help_panel=_PANEL)]
+Size = Annotated[
+    int | None, typer.Option(help="Side of the photographs (pixels); by default 224.", rich_help_panel=_PANEL)
+]
 Network = Annotated[
     str | None,
     typer.Option(

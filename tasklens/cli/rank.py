@@ -1,5 +1,7 @@
 """`tasklens rank`: rank lenses for a network."""
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -33,17 +35,21 @@ def rank(
     pretrained: Pretrained = False,
     outputs: Outputs = "classes",
     argument: Arguments = None,
-    size: Size = 224,
+    size: Size = None,
     photographs: Annotated[int, typer.Option(min=10, help="Maximum number of photographs.")] = 500,
     diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).", rich_help_panel=_SENSOR)] = 4.0,
     pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).", rich_help_panel=_SENSOR)] = 1.8,
     kernel_size: Annotated[
         int, typer.Option(help="Width of the PSF window (pixels, odd).", rich_help_panel=_SENSOR)
     ] = 51,
-    object_distance: Annotated[
-        float | None,
-        typer.Option("--object", help="Distance of the object (mm); by default infinity.", rich_help_panel=_SENSOR),
+    wavelengths: Annotated[
+        str | None,
+        typer.Option(help="Wavelengths (um) of all lenses; by default 0.6563,0.5893,0.4861.", rich_help_panel=_SENSOR),
     ] = None,
+    object_distance: Annotated[
+        float,
+        typer.Option("--object", help="Distance of the object (mm), or inf.", rich_help_panel=_SENSOR),
+    ] = math.inf,
     noise: Annotated[
         float | None,
         typer.Option(min=1, help="Add sensor noise: electrons per pixel at white.", rich_help_panel=_SENSOR),
@@ -68,8 +74,9 @@ def rank(
         int, typer.Option(min=0, help="Monte Carlo tolerancing of this many of the best lenses.", rich_help_panel=_MORE)
     ] = 0,
     grade: Annotated[
-        str, typer.Option(help="Tolerance grade of built lenses.", rich_help_panel=_MORE)
-    ] = "precision_moulding",
+        str | None,
+        typer.Option(help="Tolerance grade of built lenses; by default precision_moulding.", rich_help_panel=_MORE),
+    ] = None,
     catalogue: Catalogues = None,
     name: Annotated[str, typer.Option(help="Name; results are in results/NAME.")] = "ranking",
     cores: Annotated[int, typer.Option("--cores", "-j", min=1, help="Number of jobs at once.")] = 2,
@@ -83,6 +90,8 @@ def rank(
         raise InputError("expected --images FOLDER and --network NAME with --weights FILE (or --pretrained)")
     if as_built and diffraction:
         raise InputError("--as-built: not with --diffraction; omit one of them")
+    if grade is not None and not as_built:
+        raise InputError("--grade: only with --as-built COUNT")
     classifier = network_settings(network, weights, pretrained, outputs, argument)
     from tasklens.materials.library import user_files
     from tasklens.pipeline import ranking
@@ -92,26 +101,27 @@ def rank(
         "diagonal_mm": diagonal,
         "pixel_pitch_um": pixel_pitch,
         "kernel_size": kernel_size,
-        "object_distance_mm": object_distance,
+        "object_distance_mm": None if object_distance == math.inf else object_distance,
+        **({} if wavelengths is None else {"wavelengths_um": wavelengths.split(",")}),
     }
     paths = ranking.lens_paths(lenses)
-    section = ranking.image_settings(images, size, photographs, fine_tune > 0)
+    section = ranking.image_settings(images, 224 if size is None else size, photographs, fine_tune > 0)
     capture = {"diffraction": diffraction, "sensor": None if noise is None else {"full_well": noise}}
-    tolerances = {"grade": grade}
-    with progress_bars():
-        screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale)
+    tolerances = {} if grade is None else {"grade": grade}
 
-    def study(built: list[str]) -> dict:
+    def study(screened: ranking.Screened, built: Sequence[str] = ()) -> dict:
         return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, sieve, tolerances, built)
 
-    content = study([])
-    parsed = loading.parse(content)
-    say(ranking.check_network(parsed.classifier(parsed.supervisor), parsed.images))
-    count = len(parsed.imported)
+    unread = loading.parse(study(ranking.unread(paths[0])))  # errors come before the lenses are read
+    say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
+    with progress_bars():
+        screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale)
+    content = study(screened)
+    count = len(loading.parse(content).imported)
     say(f"{count} of {len(paths)} lenses are measured with {section['test']} photographs at nine fields")
     folder = ranking.run(content, ["ranking"], cores, overwrite)
     if as_built:
-        content = study(ranking.first_lenses(folder, content["ranking"]["titles"], as_built))
+        content = study(screened, ranking.first_lenses(folder, content["ranking"]["titles"], as_built))
         folder = ranking.run(content, ["ranking"], cores, overwrite)
     print((folder / "tables" / "ranking.md").read_text(encoding="utf-8"))
     say(f"the page: {folder / 'ranking.html'}")

@@ -133,14 +133,16 @@ def _elements(text: str) -> dict[str, list[str]]:
 @app.command()
 def check(
     files: Files,
-    networks: Annotated[bool, typer.Option("--networks", help="Build every classifier once, without weights.")] = False,
-    weights: Annotated[bool, typer.Option(help="Check that the weight files of all classifiers exist.")] = True,
+    build: Annotated[
+        bool, typer.Option("--build-networks", help="Build every classifier once, without weights.")
+    ] = False,
+    weight_files: Annotated[bool, typer.Option(help="Check that the weight files of all classifiers exist.")] = True,
 ) -> None:
     """Check a study file, its images and imported lenses; compile the tracer if necessary; print a summary."""
     from tasklens.pipeline.checks import check as check_study
 
     for study in loading.at_points(loading.load(*files)):
-        check_study(study, networks, weights)
+        check_study(study, build, weight_files)
         counts = f"{len(study.lenses)} lenses, {len(study.classifiers)} classifiers"
         print(f"{study.name}: {counts}, seeds {list(study.seeds)}")
 
@@ -253,7 +255,9 @@ def _state(run: runs.Run) -> dict[str, Any]:
 def diff(
     old: Place,
     new: Place,
-    every: Annotated[bool, typer.Option("--all", help="Compare all columns, not only accuracies.")] = False,
+    every: Annotated[
+        bool, typer.Option("--all", help="Compare all columns, not only accuracies, as --json always does.")
+    ] = False,
     as_json: AsJson = False,
 ) -> None:
     """Show the differences between two studies: configuration, and numbers in their tables."""
@@ -284,7 +288,7 @@ def _configuration(place: Path) -> Mapping[str, Any]:
 def export(
     place: Place,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Zip file; by default <name>.zip.")] = None,
-    weights: Annotated[bool, typer.Option("--weights", help="Include the weights of all networks.")] = False,
+    weights: Annotated[bool, typer.Option("--with-weights", help="Include the weights of all networks.")] = False,
     force: Force = False,
 ) -> None:
     """Export a study to one zip file for a colleague: everything except images, checkpoints and weights."""

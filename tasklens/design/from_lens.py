@@ -39,6 +39,7 @@ _LENGTHS = (  # limits that are lengths
     "min_back_focus",
     "max_track",
 )
+_KEYWORDS = {"free": "give it as `free` (--free)"}  # that replace settings
 _SPOT = {
     "descents": [
         {
@@ -87,6 +88,9 @@ def design(
     """
     if method == "least_squares":
         raise InputError("method: least_squares starts from random lenses; with `start` choose another method")
+    for key in ("free", "keep_apertures", "start"):
+        if key in settings:
+            raise InputError(f"{key}: no setting with the lens of `start`; " + _KEYWORDS.get(key, "omit it"))
     try:
         given = Constraints.model_validate(constraints)
     except ValidationError as error:

@@ -58,12 +58,13 @@ class Production:
         """Measure a lens; `failed` is 1 if a field gets no light; the lens is measured anyway."""
         fields, loss = self.accuracy(lens, images)
         rays = trace_fields(lens, self.view, sobol_disc(_RAYS, seed=0))
+        mtf = torch.stack(geometric_mtf(rays, self.view.directions, [focus.frequency(self.view)]))
         return {
             "accuracy": float(fields.mean()),
             "worst_field_accuracy": float(fields.min()),
             "loss": loss,
             "rms_spot_um": 1e3 * float(rms_spot_radius(rays, centroid(rays)).mean()),
-            "mtf": float(torch.stack(geometric_mtf(rays, self.view.directions, [focus.frequency(self.view)])).mean()),
+            "mtf_quarter_nyquist": float(mtf.mean()),
             "failed": int(not rays.valid.any(-1).any(-1).all()),
         }
 

@@ -28,6 +28,7 @@ from tasklens.runtime.files import FileError
 from tasklens.study import single
 from tasklens.study.messages import suggestion
 from tasklens.study.settings import Spec
+from tasklens.study.study import Study
 from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # largest number of images of a folder or a data set
@@ -40,12 +41,14 @@ _NOT_KEYWORDS = (
     "remark",
     "spec",
 )  # of `designs`, no keywords of `design_lens`
+_ELEMENTS = ("COC", "OKP4")
+_SIZE = 224  # side of photographs [pixels]
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
 
 def design_lens(
-    method: str | None = None, elements: Sequence[str] = ("COC", "OKP4"), **settings: Any
+    method: str | None = None, elements: Sequence[str] | None = None, **settings: Any
 ) -> tuple[Lens, View, dict[str, Any]]:
     """Design one lens, and before it the lenses that its method starts from.
 
@@ -57,8 +60,8 @@ def design_lens(
     Args:
         method: least_squares, spot, contrast, log_image_error, correlation; with a network task, joint, end_to_end;
             None: least_squares, with `start` spot.
-        elements: materials from front to back, by name, built-in or from `catalogues`. "COC|PMMA" lets the design
-            choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
+        elements: materials from front to back, by name, built-in or from `catalogues`; None: COC and OKP4. "COC|PMMA"
+            lets the design choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
 
     Keywords:
         seed: seed of all random numbers.
@@ -67,8 +70,9 @@ def design_lens(
         constraints: limits that differ from the defaults of a study, such as {"max_track": 6.0} [mm].
         catalogues: files of further glasses (.agf) or plastics (.yaml).
         images: folder of photographs, <class>/* or train/<class>/*; or a torch dataset, or pairs (image, label); by
-            default rendered textures. Of more than 2000 images, 2000 are drawn at random.
-        size: side of the photographs [pixels].
+            default rendered textures. Of more than 2000 images, 2000 are drawn at random. All of them serve the design:
+            rank its lens with others.
+        size: side of the photographs of a folder [pixels], by default 224.
         network: trained torch.nn.Module from images (B, 3, H, W) in [0, 1] to logits, or its settings, such as
             {"model": "resnet18", "weights": "resnet.safetensors"}. The images of a timm network are normalised as its
             `pretrained_cfg` says. The methods joint and end_to_end train a module with the lens; all others leave it as
@@ -109,14 +113,14 @@ def design_lens(
 
 def designs(
     method: str | None = None,
-    elements: Sequence[str] = ("COC", "OKP4"),
+    elements: Sequence[str] | None = None,
     *,
     seed: int = 0,
     settings: Mapping[str, Any] | None = None,
     constraints: Mapping[str, Any] | None = None,
     catalogues: str | Path | Sequence[str | Path] = (),
     images: Any = None,
-    size: int = 224,
+    size: int | None = None,
     network: nn.Module | Mapping[str, Any] | None = None,
     loss: Loss | None = None,
     start: str | Path | tuple[Lens, View] | None = None,
@@ -142,6 +146,8 @@ def designs(
     catalogues = [catalogues] if isinstance(catalogues, str | Path) else catalogues
     files = [str(path) for path in catalogues]
     if start is not None:
+        if elements is not None:
+            raise InputError("elements: not with `start`, whose glasses stay")
         file = _start(start, [*map(Path, catalogues), *user_files()], spec)
         options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
         result = from_lens.design(file, method, free, *options)
@@ -150,8 +156,16 @@ def designs(
         return replace(result, prescription=_prescription(file.prescription, result.lens, result.view, set(spec)))
     if free is not None:
         raise InputError("free: only with `start`, the file of a lens")
+    elements = _ELEMENTS if elements is None else elements
     spots: dict[str, float] = {}
+
+    def study_of(combination: Sequence[str]) -> Study:
+        options = (spec, settings or {}, constraints or {}, files, section, classifier)
+        return single.study(method, combination, *options, baselines=baselines, network_given=module is not None)
+
     if any(substitution.ALTERNATIVE in element for element in elements):
+        for combination in substitution.covering(elements):
+            study_of(combination)  # errors come before the search
 
         def spot(combination: Sequence[str]) -> float:
             options = {"constraints": constraints, "catalogues": catalogues, "seed": seed, **spec}
@@ -159,18 +173,7 @@ def designs(
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 
         elements, spots = substitution.sharpest(elements, spot)
-    study = single.study(
-        method,
-        elements,
-        spec,
-        settings or {},
-        constraints or {},
-        files,
-        section,
-        classifier,
-        baselines=baselines,
-        network_given=module is not None,
-    )
+    study = study_of(elements)
     for name, entry in study.lenses.items():
         if len(start_names := starts(study, name)) > 1:
             raise InputError(
@@ -229,15 +232,22 @@ def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str
     return replace(data, aperture=(kind, float(value)))
 
 
-def _images(images: Any, size: int, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
+def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
     """Return the `images` section of a study, and the data set of a user in Python; None for the absent one."""
+    if size is not None and not isinstance(images, str | Path):
+        raise InputError("size: only for the photographs of a folder in `images`")
     if images is None:
         return None, None
     if not isinstance(images, str | Path):
         dataset = user_images.of_pairs(images, _IMAGES)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
-    return {"folder": str(images), "size": size, "train": _train(Path(images), held_out), "minival": 2}, None
+    return {
+        "folder": str(images),
+        "size": _SIZE if size is None else size,
+        "train": _train(Path(images), held_out),
+        "minival": 2,
+    }, None
 
 
 def _train(folder: Path, held_out: bool) -> int:
@@ -247,8 +257,9 @@ def _train(folder: Path, held_out: bool) -> int:
     return max(1, 4 * class_folders.count(folder, _IMAGES * 5 // 4) // 5)
 
 
-def unused_images(folder: Path, size: int) -> ImageDataset:
+def unused_images(folder: Path, size: int | None) -> ImageDataset:
     """Return at most 500 photographs that a design with baselines does not use; raises FileError for fewer than 20."""
+    size = _SIZE if size is None else size
     if not folder.is_dir():
         raise FileError(f"{folder}: no such folder of images")
     if class_folders.is_split(folder):

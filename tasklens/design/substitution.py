@@ -19,6 +19,13 @@ def combinations(elements: Sequence[str]) -> list[tuple[str, ...]]:
     return list(itertools.product(*choices))
 
 
+def covering(elements: Sequence[str]) -> list[tuple[str, ...]]:
+    """Return a few combinations in which every material of every element occurs; raises InputError."""
+    combinations(elements)
+    choices = [element.split(ALTERNATIVE) for element in elements]
+    return [tuple(options[k % len(options)] for options in choices) for k in range(max(map(len, choices)))]
+
+
 def sharpest(
     elements: Sequence[str], spot: Callable[[tuple[str, ...]], float]
 ) -> tuple[tuple[str, ...], dict[str, float]]:

@@ -70,7 +70,7 @@ def loss_at_psf(
     """
     leaf = grid.detach().to(images).requires_grad_()
     camera = PsfCamera(leaf, capture.outside_window, capture.colour, capture.sensor, illumination)
-    captures = camera.grid(images, torch.Generator().manual_seed(seed))
+    captures = camera.all_fields(images, torch.Generator().manual_seed(seed))
     inputs, source = captures.detach().flatten(0, 1), torch.arange(len(images)).repeat(len(grid))
     count = math.ceil(len(inputs) / micro_batch)
     weight = (torch.ones(len(grid)) if weights is None else weights).to(images).repeat_interleave(len(images))
@@ -267,7 +267,7 @@ class Supervisor:
         noise = torch.Generator().manual_seed(self.problem.seed)  # drawn by image, so independent of micro-batches
         with criterion.evaluating():
             for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
-                captures = camera.grid(batch, noise)
+                captures = camera.all_fields(batch, noise)
                 sharp, targets = (torch.cat([values] * len(grid)) for values in (batch, batch_labels))
                 loss = criterion.losses(captures.flatten(0, 1), sharp, targets)
                 losses.append((self.weights.to(loss)[:, None] * loss.reshape(len(grid), -1)).mean(0))

@@ -12,6 +12,7 @@ from tasklens.runtime.files import FileError, replacing
 PLASTICS = Path(__file__).parent / "plastics.yaml"  # the built-in plastics
 MAKERS = Path(__file__).parent / "makers"  # the built-in catalogues, made by tools/glass_catalogues.py
 FORMULA_NUMBERS = {name: number for number, name in enumerate(FORMULAS, 1) if name != "model"}  # Zemax's
+_HEAD = "CC written by TaskLens; indices relative to air"
 _BY_NUMBER = {number: name for name, number in FORMULA_NUMBERS.items()}
 
 
@@ -47,13 +48,18 @@ def builtin(name: str) -> Material:
     return plastics()[name]
 
 
+def is_ours(path: Path) -> bool:
+    """Return whether `write_agf` wrote a catalogue."""
+    return path.read_bytes().startswith(_HEAD.encode())
+
+
 def write_agf(path: Path, materials: Iterable[Material]) -> None:
     """Write a Zemax catalogue; `read` restores every coefficient exactly.
 
     Raises:
         FileError: a name that Zemax cannot have, or a source of several lines.
     """
-    lines = ["CC written by TaskLens; indices relative to air"]
+    lines = [_HEAD]
     for material in materials:
         if " " in material.name or material.name in ("MIRROR", BLANK):
             raise FileError(f"Zemax cannot have a glass called {material.name!r}; rename it")

@@ -140,11 +140,11 @@ class Camera(nn.Module):
                 f"fields: expected an index from 0 to {len(self.view.fields) - 1} for each of {len(images)} images"
             )
         pixel_noise = None if self.sensor is None else noise(images.shape, torch.default_generator)
-        return self._camera(images).single(images, fields.long(), pixel_noise).to(images.dtype)
+        return self._camera(images)(images, fields.long(), pixel_noise).to(images.dtype)
 
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
-        return self._camera(images).grid(images, torch.default_generator).to(images.dtype)
+        return self._camera(images).all_fields(images, torch.default_generator).to(images.dtype)
 
     def penalty(self) -> Tensor:
         """Compute the violation of the lens's limits, as a penalty on a loss: zero for the initial lens.

@@ -70,7 +70,7 @@ def simulate(
     check_light(lens, view)
     grid = psf(lens, view, rays, diffraction)
     illumination = None if sensor is None else relative_illumination(lens.detached(), view)
-    return PsfCamera(grid, outside_window, colour, sensor, illumination).grid(source[None])[:, 0]
+    return PsfCamera(grid, outside_window, colour, sensor, illumination).all_fields(source[None])[:, 0]
 
 
 def simulate_sensor(

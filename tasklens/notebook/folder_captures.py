@@ -78,17 +78,19 @@ def capture_folder(
     fields = torch.randint(len(view.fields), (len(files),), generator=generator)
     if field is not None:
         fields = torch.full_like(fields, field)
+    points = view.fields.tolist()
+    rows = ((str(name), k, *points[k]) for name, k in zip(names, fields.tolist(), strict=True))
+    table = [dict(zip(("file", "field", "x_mm", "y_mm"), row, strict=True)) for row in rows]
     progress = Progress(f"captures of {folder}", len(files))
     for first in range(0, len(files), _BLOCK):
         block = slice(first, first + _BLOCK)
         images = folders.read_all(files[block], size).float() / 255
+        if first == 0:
+            write_rows(output / FIELDS, table)
         samples = None if sensor is None else noise(images.shape, generator)
-        for name, capture in zip(names[block], camera.single(images, fields[block], samples), strict=True):
+        for name, capture in zip(names[block], camera(images, fields[block], samples), strict=True):
             path = output / name
             path.parent.mkdir(parents=True, exist_ok=True)
             write_captures(path, capture[None])
         progress(min(first + _BLOCK, len(files)))
-    points = view.fields.tolist()
-    rows = ((str(name), k, *points[k]) for name, k in zip(names, fields.tolist(), strict=True))
-    write_rows(output / FIELDS, [dict(zip(("file", "field", "x_mm", "y_mm"), row, strict=True)) for row in rows])
     return len(files)

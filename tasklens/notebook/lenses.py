@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from torch import Tensor
 
+from tasklens.materials.catalogues import is_ours
 from tasklens.materials.library import Library, user_files
 from tasklens.optics.analysis.datasheet import figures, spec_of
 from tasklens.optics.analysis.focus import refocused
@@ -16,11 +17,13 @@ from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
 from tasklens.optics.io import lens_files
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.io.typed import typed
+from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import positive
+from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
 
@@ -60,7 +63,7 @@ def lens(
     surfaces: Sequence[Mapping[str, Any]],
     field_of_view_deg: float,
     f_number: float | None = None,
-    wavelengths_um: Sequence[float] = (0.6563, 0.5876, 0.4861),
+    wavelengths_um: Sequence[float] = Spec.model_fields["wavelengths_um"].default,
     object_distance_mm: float = math.inf,
     catalogues: Sequence[str | Path] = (),
     **pixels: Any,
@@ -69,12 +72,12 @@ def lens(
 
     Args:
         surfaces: for each surface, `radius` [mm] (inf for a plane) or `curvature`, `thickness` to the next one [mm],
-            `material` behind it (air if absent), `conic`, `coefficients` of r^2, r^4 .. [mm^(1 - 2j)], `semi_diameter`
-            of its clear aperture [mm], and `stop: True` for one surface. If the last `thickness` is absent, the image
-            plane is placed at best focus.
+            `material` behind it (air if absent), `conic`, coefficients `alpha_2`, `alpha_4` .. of r^2, r^4 ..
+            [mm^(1 - 2j)], `semi_diameter` of its clear aperture [mm], and `stop: True` for one surface. If the last
+            `thickness` is absent, the image plane is placed at best focus.
         field_of_view_deg: full angle.
         f_number: focal length / entrance pupil diameter; None: the stop must have a `semi_diameter`.
-        wavelengths_um: wavelengths; the middle one is the reference.
+        wavelengths_um: wavelengths; the middle one is the reference; by default the lines C, D, F, as in a study.
         object_distance_mm: from the object to the first vertex.
         catalogues: glass catalogues (.agf, .yaml) in addition to the built-in catalogues.
         pixels: pixel_pitch_um and kernel_size (width of PSFs in pixels, odd).
@@ -141,7 +144,8 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
         notes: notes on the lens from `design_lens`; by default, its specification and figures.
 
     Raises:
-        InputError: a number of the lens is not finite, as after a descent that diverged.
+        InputError: a number of the lens is not finite, as after a descent that diverged; or a glass catalogue beside a
+            Zemax file, which the lens needs, has its name and is not ours.
 
     Example:
         >>> tasklens.save_lens("lens.zmx", lens, view)
@@ -150,6 +154,10 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
         raise InputError("save_lens: expected a path, a lens and its view, in this order")
     if bad := lens.not_finite:
         raise InputError(f"{path}: {bad} of the lens is not finite; nothing was written")
+    catalogue = Path(path).with_suffix(".agf")
+    needs_catalogue = Path(path).suffix.lower() == ".zmx" and NamedGlasses.of(lens.media, catalogue.stem).own
+    if needs_catalogue and catalogue.is_file() and not is_ours(catalogue):
+        raise InputError(f"{catalogue}: already exists, and is not ours; choose another name for the lens")
     prescription = with_system_data(Prescription(lens.detached()), view)
     lens_files.write(Path(path), prescription, notes or described(lens, view))
 

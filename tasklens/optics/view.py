@@ -23,7 +23,7 @@ class View:
         object_vergence: 1 / distance of the object in front of the first vertex [1/mm]; 0 for an object at infinity.
 
     Raises:
-        InputError: the object is not in front of the lens.
+        InputError: the object is not in front of the lens, or `kernel_size` is not odd.
     """
 
     fields: Tensor
@@ -39,6 +39,8 @@ class View:
                 f"object_vergence: expected 1 / distance [mm] of an object in front of the lens, or 0 for one at "
                 f"infinity, found {self.object_vergence}"
             )
+        if self.kernel_size % 2 != 1:
+            raise InputError(f"kernel_size: expected an odd number of pixels, got {self.kernel_size}")
 
     @property
     def tangents(self) -> Tensor:

@@ -70,6 +70,11 @@ def lens_paths(places: Sequence[Path]) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
+def unread(path: Path) -> Screened:
+    """Return a lens as if it could be used, to check a study before lenses are read."""
+    return Screened({ELEMENTS: {"elements": ELEMENTS, "file": str(path)}}, {ELEMENTS: path.stem}, {ELEMENTS: 0.0})
+
+
 def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[Path], scaled: bool) -> Screened:
     """Read lenses, and check which of them can be used with a sensor.
 
@@ -115,6 +120,9 @@ def _screened(
     if not tangent:
         raise InputError("its file has no field except the axis")
     remarks = [*file.prescription.remarks]
+    if _differ(file.view.wavelengths, sensor.wavelengths_um):
+        own, others = (", ".join(f"{value:g}" for value in v) for v in (file.view.wavelengths, sensor.wavelengths_um))
+        remarks.append(f"is designed for {own} um, and ranked at {others} um (--wavelengths)")
     if not scaled:
         radius = efl * tangent
         if radius < _COVERAGE * half:
@@ -141,6 +149,12 @@ def _screened(
     if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
     return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), remarks
+
+
+def _differ(wavelengths: Sequence[float], others: Sequence[float]) -> bool:
+    """Return whether the ends of two ranges of wavelengths differ by more than a tenth."""
+    ends = ((min(wavelengths), min(others)), (max(wavelengths), max(others)))
+    return any(abs(a - b) > 0.1 * b for a, b in ends)
 
 
 def _title(path: Path, paths: Sequence[Path]) -> str:

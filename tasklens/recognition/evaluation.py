@@ -34,7 +34,7 @@ class CapturePipeline:
             return self._restored(images[share])
         fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
         pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)[share]
-        return self._restored(self.camera.single(images[share], send(fields[share], images.device), pixel_noise))
+        return self._restored(self.camera(images[share], send(fields[share], images.device), pixel_noise))
 
     def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:
         """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera.
@@ -42,7 +42,7 @@ class CapturePipeline:
         Noise is the same for all lenses; the number `batch` seeds it, so that batches differ.
         """
         generator = torch.Generator().manual_seed(batch)
-        captures = images[None] if self.camera is None else self.camera.grid(images, generator)
+        captures = images[None] if self.camera is None else self.camera.all_fields(images, generator)
         return torch.stack([self._restored(field) for field in captures])
 
     def _restored(self, captures: Tensor) -> Tensor:

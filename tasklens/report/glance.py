@@ -31,12 +31,12 @@ _COLUMNS = {  # key of a row: its heading, format
     "track_mm": ("track", ".2f"),
     "object_distance_mm": ("object", "g"),
     "field_of_view_deg": ("field", ".1f"),
-    "rms_mean_um": ("RMS", ".2f"),
-    "rms_worst_um": ("worst", ".2f"),
-    "core_radius_mean_um": ("core", ".2f"),
-    "radius_80_mean_um": ("80 %", ".2f"),
-    "mtf_half_nyquist_mean": ("MTF", ".2f"),
-    "energy_in_window_mean": ("light", ".3f"),
+    "rms_spot_um": ("RMS", ".2f"),
+    "rms_spot_worst_um": ("worst", ".2f"),
+    "core_radius_um": ("core", ".2f"),
+    "radius_80_um": ("80 %", ".2f"),
+    "mtf_half_nyquist": ("MTF", ".2f"),
+    "energy_in_window": ("light", ".3f"),
     "distortion_worst_percent": ("distort.", ".2f"),
     "relative_illumination_worst": ("illum.", ".2f"),
     "worst_margin": ("margin", ".4f"),
@@ -121,21 +121,22 @@ def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
         **{key: figures[key] for key in ("efl_mm", "f_number", "track_mm")},
         **{key: figures[key] for key in ("object_distance_mm",) if key in figures},
         "field_of_view_deg": 2 * max(figures["angle_deg"]),
-        "rms_mean_um": mean("rms_centroid_um"),
-        "rms_worst_um": max(figures["rms_centroid_um"]),
-        "core_radius_mean_um": mean("core_radius_um"),
-        "radius_80_mean_um": mean("radius_80_um"),
-        "mtf_half_nyquist_mean": mean("mtf_tangential_half_nyquist", "mtf_sagittal_half_nyquist"),
-        "energy_in_window_mean": mean("energy_in_window"),
+        "rms_spot_um": mean("rms_centroid_um"),
+        "rms_spot_worst_um": max(figures["rms_centroid_um"]),
+        "core_radius_um": mean("core_radius_um"),
+        "radius_80_um": mean("radius_80_um"),
+        "mtf_half_nyquist": mean("mtf_tangential_half_nyquist", "mtf_sagittal_half_nyquist"),
+        "energy_in_window": mean("energy_in_window"),
         "distortion_worst_percent": max(figures["distortion_percent"], key=abs),
         "relative_illumination_worst": min(figures["relative_illumination"]),
-        "worst_margin": content["worst_margin"]["value"] if "worst_margin" in content else None,
+        "worst_margin": content.get("worst_margin"),
     }
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:
     """Format rows as a table for a terminal, with a note that explains the columns."""
-    frame = pandas.DataFrame(rows)
+    margins = [row["worst_margin"] and row["worst_margin"]["value"] for row in rows]
+    frame = pandas.DataFrame(rows).assign(worst_margin=margins)
     texts = {
         heading: [GAP if pandas.isna(value) else format(value, form) for value in frame[key]]
         for key, (heading, form) in _COLUMNS.items()

@@ -66,8 +66,10 @@ HEADINGS = {
     ),
     "energy_in_window": Heading("light in window", "", ".3f", "max", meaning="Share of light inside the PSF window"),
     "tail_energy": Heading("light in tail", "", ".3f", meaning="Share of light outside three core radii"),
-    "outside_window": Heading("light outside window", "", ".3f", meaning="Share of light outside the PSF window"),
-    "rms_um": Heading("RMS about chief ray", "um", ".1f", meaning="RMS distance of rays from the chief ray"),
+    "energy_outside_window": Heading(
+        "light outside window", "", ".3f", meaning="Share of light outside the PSF window"
+    ),
+    "rms_chief_ray_um": Heading("RMS about chief ray", "um", ".1f", meaning="RMS distance of rays from the chief ray"),
     "rms_over_core": Heading("RMS / core", "", ".1f", meaning="1 for a uniform disc, 1.2 for a Gaussian spot"),
     "worst_margin": Heading(
         "worst margin",
@@ -105,7 +107,6 @@ HEADINGS = {
     "longest_min": Heading("longest", "min", ".1f"),
     "memory_mb": Heading("peak memory", "MB", ".0f"),
     "field_of_view_deg": Heading("field of view", "deg", ".1f"),
-    "field_of_view": Heading("field of view", "deg", ".1f"),
     "f_number": Heading("F-number", "", ".2f"),
     "rms_task_um": Heading("RMS spot, task", "um", ".1f"),
     "rms_imaging_um": Heading("RMS spot, imaging", "um", ".1f"),
@@ -120,8 +121,9 @@ HEADINGS = {
     "yield_1": Heading("yield, 1 point", "%", ".1f", meaning="Built lenses that lose at most one point"),
     "yield_3": Heading("yield, 3 points", "%", ".1f", meaning="Built lenses that lose at most three points"),
     "rms_spot_um_design": Heading("RMS spot of the design", "um", ".1f"),
-    "mtf_design": Heading("MTF of the design", "", ".2f"),
-    "mtf": Heading("MTF", "", ".2f"),
+    "mtf_quarter_nyquist_design": Heading("MTF of the design", "", ".2f"),
+    "mtf_quarter_nyquist": Heading("MTF", "", ".2f", meaning="MTF at a quarter of the Nyquist frequency"),
+    "mtf_mean": Heading("mean MTF", "", ".2f", meaning="Mean MTF up to half the Nyquist frequency"),
     "failed_lenses": Heading("failed lenses", meaning="Built lenses that let no light through to some field"),
     "built": Heading("built", "", ".0f"),
     "tolerance": Heading("tolerance", "", ".4g"),

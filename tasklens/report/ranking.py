@@ -200,7 +200,7 @@ def make(
         columns = row(rank, settings.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
         if "zero_shot_accuracy" in means[rank.lens]:
             columns["among_all"] = means[rank.lens]["zero_shot_accuracy"]
-        columns |= {"mtf": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {}
+        columns |= {"mtf_mean": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {}
         rows.append(columns | losses.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
@@ -234,7 +234,7 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
         "axis": rank.by_field[0],
         "corner": rank.by_field[-1],
         "f_number": figures["f_number"],
-        "field_of_view": field_of_view_deg,
+        "field_of_view_deg": field_of_view_deg,
         "rms_spot_um": float(numpy.mean(figures["rms_centroid_um"])),
     }
 

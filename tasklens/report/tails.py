@@ -22,7 +22,7 @@ def means(by_field: Rows) -> pandas.DataFrame:
     """Return a row per lens and seed: means over fields, and the ratio of the mean RMS to the mean core radius."""
     lenses = pandas.DataFrame(by_field).drop(columns="field").groupby(["lens", "seed"], sort=False)
     table = lenses.mean(skipna=False).reset_index()
-    table["rms_over_core"] = table["rms_um"] / table["core_radius_um"]
+    table["rms_over_core"] = table["rms_chief_ray_um"] / table["core_radius_um"]
     return table
 
 

@@ -30,8 +30,8 @@ def distribution(rows: Sequence[Mapping[Any, Any]]) -> dict[str, float]:
         **{f"yield_{points:g}": 100 * float((accuracy >= nominal - points - 1e-9).mean()) for points in POINTS},
         "rms_spot_um_design": float(design["rms_spot_um"]),
         "rms_spot_um": float(numpy.median([float(row["rms_spot_um"]) for row in built])),
-        "mtf_design": float(design["mtf"]),
-        "mtf": float(numpy.median([float(row["mtf"]) for row in built])),
+        "mtf_quarter_nyquist_design": float(design["mtf_quarter_nyquist"]),
+        "mtf_quarter_nyquist": float(numpy.median([float(row["mtf_quarter_nyquist"]) for row in built])),
         "failed_lenses": sum(int(row["failed"]) for row in built),
         "built": len(built),
     }
@@ -56,7 +56,7 @@ def markdown(
         f"{stats['accuracy_5th']:.1f} %). {stats['yield_1']:.0f} % lose at most one point, {stats['yield_3']:.0f} % at "
         f"most three.{failed} The RMS spot is {stats['rms_spot_um_design']:.1f} um in the design and "
         f"{stats['rms_spot_um']:.1f} um in the median, the MTF at a quarter of Nyquist's frequency "
-        f"{stats['mtf_design']:.2f} and {stats['mtf']:.2f}."
+        f"{stats['mtf_quarter_nyquist_design']:.2f} and {stats['mtf_quarter_nyquist']:.2f}."
     )
     frame = pandas.DataFrame(errors)
     worst = frame.sort_values("moved_um", ascending=False)[:_SHOWN][

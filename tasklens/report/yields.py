@@ -16,7 +16,12 @@ _NOTE = """\
   Surfaces are numbered from 0; an element has the number of its first surface, about whose vertex it tilts. Form 3 6:
   spherical aberration of sixth order on surface 3, peak to valley over the clear aperture. Ray shift: RMS of the half
   of the rays next to the chief ray, at the full tolerance, after focusing."""
-_QUALITIES = {"rms_um": "RMS spot, mean of the fields [um]", "worst_rms_um": "RMS spot, worst field [um]", "mtf": "MTF"}
+_MTF = "mtf_quarter_nyquist"
+_QUALITIES = {
+    "rms_spot_um": "RMS spot, mean of the fields [um]",
+    "rms_spot_worst_um": "RMS spot, worst field [um]",
+    _MTF: "MTF",
+}
 
 
 def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, Any]:
@@ -28,7 +33,7 @@ def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, A
         frequency: frequency of the MTF [cycles/mm].
     """
     built = {name: numpy.array([getattr(lens, name) for lens in tolerances.built]) for name in _QUALITIES}
-    design = tolerances.design
+    design, spots = tolerances.design, built["rms_spot_um"]
     order = tolerances.moved_um.argsort(descending=True).tolist()
     allotted = tolerances.allotted
     return {
@@ -38,11 +43,11 @@ def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, A
         "peak_um": tolerances.peak_um,
         "design": {name: getattr(design, name) for name in _QUALITIES},
         "median": {name: float(numpy.median(values)) for name, values in built.items()},
-        "yield_95_percent": {
-            name: float(numpy.quantile(values, 0.05 if name == "mtf" else 0.95)) for name, values in built.items()
+        "at_95_percent_yield": {
+            name: float(numpy.quantile(values, 0.05 if name == _MTF else 0.95)) for name, values in built.items()
         },
-        "yield_by_rms": {factor: _share(built["rms_um"] <= factor * design.rms_um) for factor in _GROWTH},
-        "yield_by_mtf": {share: _share(built["mtf"] >= share * design.mtf) for share in _KEPT},
+        "yield_by_rms_percent": {factor: _share(spots <= factor * design.rms_spot_um) for factor in _GROWTH},
+        "yield_by_mtf_percent": {share: _share(built[_MTF] >= share * design.mtf_quarter_nyquist) for share in _KEPT},
         "errors": [
             {
                 "error": tolerances.errors[k].name,
@@ -64,10 +69,10 @@ def text(name: str, data: Mapping[str, Any]) -> str:
         f"  {'':<36}{'design':>9}{'median':>9}{'95 % yield':>15}",
     ]
     for key, meaning in _QUALITIES.items():
-        values = (data["design"][key], data["median"][key], data["yield_95_percent"][key])
+        values = (data["design"][key], data["median"][key], data["at_95_percent_yield"][key])
         lines.append(f"  {meaning:<36}{values[0]:>9.2f}{values[1]:>9.2f}{values[2]:>15.2f}")
-    by_rms = ", ".join(f"{share:.0f} % up to {factor:g} times" for factor, share in data["yield_by_rms"].items())
-    by_mtf = ", ".join(f"{share:.0f} % keep {100 * fraction:.0f} %" for fraction, share in data["yield_by_mtf"].items())
+    by_rms = _shares("up to {:g} times", data["yield_by_rms_percent"])
+    by_mtf = _shares("keep {:.0f} %", {100 * kept: share for kept, share in data["yield_by_mtf_percent"].items()})
     lines += [
         f"  yield by RMS spot relative to the design: {by_rms}",
         f"  yield by MTF relative to the design: {by_mtf}",
@@ -91,6 +96,10 @@ def text(name: str, data: Mapping[str, Any]) -> str:
         )
     table = frame.rename(columns=headings).to_string(index=False)
     return "\n".join([*lines, *(f"  {line}" for line in table.splitlines()), _NOTE])
+
+
+def _shares(condition: str, yields: Mapping[float, float]) -> str:
+    return ", ".join(f"{share:.0f} % {condition.format(bound)}" for bound, share in yields.items())
 
 
 def _share(good: numpy.ndarray) -> float:

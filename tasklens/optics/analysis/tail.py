@@ -39,8 +39,8 @@ def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
 
     Returns:
         A row per field: `core_radius_um` and `radius_80_um` encircle 50 % and 80 % of the light, `tail_energy` is the
-        fraction outside 3 core radii (NaN if the core is infinite), `outside_window` the fraction outside the square
-        PSF window, `rms_um` the RMS distance of the valid rays.
+        fraction outside 3 core radii (NaN if the core is infinite), `energy_outside_window` the fraction outside the
+        square PSF window, `rms_chief_ray_um` the RMS distance of the valid rays.
         Rows (field, radius_um, fraction) of the encircled energy.
     """
     traced, centre = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_points(lens, view)
@@ -52,8 +52,8 @@ def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
         "core_radius_um": 1e3 * core,
         "radius_80_um": 1e3 * encircled_energy_radius(traced, centre, 0.8),
         "tail_energy": torch.where(core.isfinite(), tail_energy, torch.nan),
-        "outside_window": 1 - inside.sum((1, 2)).double() / passing(traced),
-        "rms_um": 1e3 * rms_spot_radius(traced, centre),
+        "energy_outside_window": 1 - inside.sum((1, 2)).double() / passing(traced),
+        "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, centre),
     }
     columns = {name: values.tolist() for name, values in figures.items()}
     by_field = [

@@ -38,8 +38,8 @@ class LensFile:
 
     Attributes:
         prescription: as in the file.
-        lens: the lens at the requested F-number, focused as in the file. A lens without `spec` that is focused for a
-            near object is refocused if another distance is requested.
+        lens: the lens at the requested F-number, focused as in the file; refocused if the file has a near object and
+            another distance is requested.
         view: fields, wavelengths, pixels and object distance.
         content: other content of a YAML file: spec, origin, figures, margins.
         remarks: assumptions and changes, as text.
@@ -140,11 +140,18 @@ def _specified(
     wavelengths = wavelengths or view.wavelengths
     lens.refractive_indices(wavelengths)
     lens, view = _changed(lens, replace(view, wavelengths=wavelengths, object_vergence=vergence), changes)
-    remarks = []
-    near = source.object_distance_mm
-    if math.isfinite(near) and vergence != 1 / near:
-        remarks.append(f"object at {near:g} mm in the file: moved to {_distance(vergence)}, without refocusing")
+    lens, remarks = _refocused(lens, view, source.object_distance_mm)
     return LensFile(source, lens, view, content, tuple(remarks))
+
+
+def _refocused(lens: Lens, view: View, distance: float) -> tuple[Lens, list[str]]:
+    """Refocus a lens for the object of the view if its file has another, near one, at `distance` [mm]; say so."""
+    if math.isinf(distance) or view.object_vergence == 1 / distance:
+        return lens, []
+    focused = refocused(lens, view, _RAYS)
+    shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
+    requested = f"{1 / view.object_vergence:g} mm" if view.object_vergence else "infinity"
+    return focused, [f"object at {distance:g} mm in the file: refocused for {requested}, by {shift:.1f} um"]
 
 
 def read_prescription(
@@ -235,17 +242,8 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
         pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
-    near = source.object_distance_mm
-    if math.isfinite(near) and vergence != 1 / near:
-        focused = refocused(lens, view, _RAYS)
-        shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
-        remarks.append(f"object at {near:g} mm in the file: refocused for {_distance(vergence)}, by {shift:.1f} um")
-        lens = focused
-    return LensFile(source, lens, view, {}, tuple(remarks))
-
-
-def _distance(vergence: float) -> str:
-    return f"{1 / vergence:g} mm" if vergence else "infinity"
+    lens, focus_remarks = _refocused(lens, view, source.object_distance_mm)
+    return LensFile(source, lens, view, {}, (*remarks, *focus_remarks))
 
 
 def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, ...]:

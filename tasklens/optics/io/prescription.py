@@ -24,7 +24,7 @@ _SYSTEM = ("title", "source", "aperture", "fields", "wavelengths_um", "primary",
 KEYS = ("format", "units", *_SYSTEM, "materials", "stop", "surfaces")
 
 _KEYS = ("curvature", "conic", "thickness", "medium", "semi_diameter")
-_ORDERS = {f"alpha_{2 * j}": j for j in range(1, 241)}  # the most terms of Zemax's extended asphere
+ORDERS = {f"alpha_{2 * j}": j for j in range(1, 241)}  # the most terms of Zemax's extended asphere
 
 
 @dataclass(frozen=True)
@@ -206,8 +206,8 @@ def _surface(surface: object, where: str) -> dict:
     for key, value in surface.items():
         if key == "semi_diameter" and value is None:
             numbers[key] = math.inf
-        elif key in _ORDERS or (key in _KEYS and key != "medium"):
-            numbers[_ORDERS.get(key, key)] = number(value, f"{where}: {key}")
+        elif key in ORDERS or (key in _KEYS and key != "medium"):
+            numbers[ORDERS.get(key, key)] = number(value, f"{where}: {key}")
         elif key not in ("medium", "comment"):
             raise FileError(f"{where} has an unknown key {key!r}")
     if numbers["semi_diameter"] < 0:

@@ -1,20 +1,20 @@
 """A lens defined in Python, surface by surface."""
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import torch
 
 from tasklens.materials.library import Library
 from tasklens.materials.material import AIR, Material
-from tasklens.optics.io.prescription import Prescription, check_order
+from tasklens.optics.io.prescription import ORDERS, Prescription, check_order
 from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import positive
 
-_KEYS = ("radius", "curvature", "thickness", "material", "conic", "coefficients", "semi_diameter", "stop")
+_KEYS = ("radius", "curvature", "thickness", "material", "conic", "semi_diameter", "stop")
 
 
 def typed(
@@ -24,8 +24,9 @@ def typed(
 
     Args:
         surfaces: for each surface `radius` or `curvature`, `thickness` to the next one, `material` behind it (name or
-            `Material`; air if absent), `conic`, `coefficients` of r^2, r^4 .. [mm^(1 - 2j)], `semi_diameter` of its
-            clear aperture; `stop` at one surface. Lengths in mm. The last thickness is 0 if absent.
+            `Material`; air if absent), `conic`, coefficients `alpha_2`, `alpha_4` .. of r^2, r^4 .. [mm^(1 - 2j)],
+            `semi_diameter` of its clear aperture; `stop` at one surface. Lengths in mm. The last thickness is 0 if
+            absent.
         f_number: focal length / diameter of the entrance pupil; None: the semi-diameter of the stop is its radius.
         library: glasses by name.
         wavelength: wavelength of the F-number [um].
@@ -39,16 +40,16 @@ def typed(
     stops = [i for i, surface in enumerate(surfaces) if surface.get("stop")]
     if len(stops) != 1:
         raise InputError(f"a lens: expected `stop` at one surface, got {len(stops)}")
-    orders = max(len(row["coefficients"]) for row in rows)
+    terms = max(ORDERS.get(key, 0) for surface in surfaces for key in surface)
 
     def column(key: str) -> torch.Tensor:
         return torch.tensor([row[key] for row in rows], dtype=torch.float64)
 
-    alpha = [[*row["coefficients"], *[0.0] * (orders - len(row["coefficients"]))] for row in rows]
+    alpha = [[row.get(f"alpha_{2 * j}", 0.0) for j in range(1, terms + 1)] for row in rows]
     lens = Lens(
         curvature=column("curvature"),
         conic=column("conic"),
-        alpha=torch.tensor(alpha, dtype=torch.float64).reshape(len(rows), orders),
+        alpha=torch.tensor(alpha, dtype=torch.float64).reshape(len(rows), terms),
         thickness=column("thickness"),
         semi_diameter=column("semi_diameter"),
         media=tuple(_medium(surface.get("material"), library) for surface in surfaces),
@@ -70,8 +71,8 @@ def _row(surface: Mapping[str, Any], index: int, last: bool) -> dict[str, Any]:
     """Return the numbers of a surface."""
     where = f"surface {index}"
     for key in surface:
-        if key not in _KEYS:
-            raise InputError(f"{where}: unknown key {key!r}; expected {', '.join(_KEYS)}")
+        if key not in _KEYS and key not in ORDERS:
+            raise InputError(f"{where}: unknown key {key!r}; expected {', '.join(_KEYS)}, alpha_2, alpha_4 ..")
     if ("radius" in surface) == ("curvature" in surface):
         raise InputError(f"{where}: expected either `radius` (inf for a plane) or `curvature`")
     if "thickness" not in surface and not last:
@@ -79,14 +80,11 @@ def _row(surface: Mapping[str, Any], index: int, last: bool) -> dict[str, Any]:
     if surface.get("radius") == 0:
         raise InputError(f"{where}: radius: expected a number other than 0, such as inf for a plane")
     curvature = 1 / _real(surface, "radius", where) if "radius" in surface else _real(surface, "curvature", where)
-    coefficients = surface.get("coefficients", ())
-    if not isinstance(coefficients, Iterable) or isinstance(coefficients, str):
-        raise InputError(f"{where}: coefficients: expected a list, of r^2, r^4 .., got {coefficients!r}")
     return {
         "curvature": curvature,
         "thickness": _real(surface, "thickness", where, 0.0),
         "conic": _real(surface, "conic", where, 0.0),
-        "coefficients": [_real({"coefficients": value}, "coefficients", where) for value in coefficients],
+        **{key: _real(surface, key, where) for key in surface if key in ORDERS},
         "semi_diameter": _real(surface, "semi_diameter", where, math.inf),
     }
 

@@ -28,9 +28,9 @@ _RIM = 1.02  # clear aperture of a surface without one, divided by the illuminat
 class Quality:
     """Mean and worst RMS spot radius of the fields [um], and their mean MTF at `focus.frequency`."""
 
-    rms_um: float
-    worst_rms_um: float
-    mtf: float
+    rms_spot_um: float
+    rms_spot_worst_um: float
+    mtf_quarter_nyquist: float
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
     qualities = []
     for k, fractions in enumerate(draw(error_list, count, seed), 1):
         qualities.append(_quality(_assembled(lens, view, error_list, fractions, peak), view))
-        progress(k, rms_um=qualities[-1].rms_um)
+        progress(k, rms_um=qualities[-1].rms_spot_um)
     design = _quality(lens, view)
     draws = draw(error_list, min(count, allocation.TRIED), seed + allocation.SEED)
 
@@ -86,7 +86,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
         bad = 0
         for fractions in draws:
             lens_built = _assembled(lens, view, error_list, scale * fractions, peak)
-            bad += _quality(lens_built, view).mtf < KEPT_MTF * design.mtf
+            bad += _quality(lens_built, view).mtf_quarter_nyquist < KEPT_MTF * design.mtf_quarter_nyquist
             if bad > (1 - allocation.YIELD) * len(draws):
                 return False
         return True
