@@ -119,11 +119,11 @@ def through_paraxial_pupil(lens: Lens, view: View, pupil: Tensor, vergence: floa
     z, tangents = first_order.entrance_pupil_z, view.tangents[:, None, None]
     point = pupil * first_order.entrance_pupil_radius / (1 + z * vergence) - tangents * z
     slope = tangents * (1 + z * vergence) + vergence * point
-    n = torch.rsqrt(1 + slope.square().sum(-1)).expand(-1, len(view.wavelengths), -1)
+    n = torch.rsqrt(1 + slope.square().sum(-1)).expand(-1, len(view.wavelengths_um), -1)
     rays = launch(point[..., 0], point[..., 1], torch.zeros_like(n), slope[..., 0] * n, slope[..., 1] * n, n)
     at_stop = torch.arange(len(lens.media)) == lens.stop
     lens = replace(lens, semi_diameter=torch.where(at_stop, torch.inf, lens.semi_diameter))
-    return rays, trace(lens, rays, lens.refractive_indices(view.wavelengths))
+    return rays, trace(lens, rays, lens.refractive_indices(view.wavelengths_um))
 
 
 def vertex_planes_inside(lens: Lens, view: View, rays: Rays) -> Tensor:
@@ -132,7 +132,7 @@ def vertex_planes_inside(lens: Lens, view: View, rays: Rays) -> Tensor:
     The program behind the files' reference starts its iteration there; it loses all other rays, even if they meet
     the surface.
     """
-    _, behind_each = trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
+    _, behind_each = trace_full(lens, rays, lens.refractive_indices(view.wavelengths_um))
     inside = torch.ones_like(rays.valid)
     from_vertex = torch.zeros(())
     for i, behind in enumerate(behind_each):

@@ -12,8 +12,8 @@ Functions for notebooks (see `help()` of each):
     Camera                  a lens in front of a network, for your own training loop
     PsfCamera               captures through fixed PSFs
 
-Types: `Lens`, `View`, `Ranking`, `SensorSettings`. An argument or a file that cannot be used raises `InputError`, a
-ValueError.
+Types: `Lens`, `View`, `Ranking`, `SensorSettings`. An argument or a file that cannot be used raises a ValueError,
+nearly always `InputError`.
 """
 
 import warnings

@@ -92,7 +92,7 @@ def lens_and_view() -> tuple[Lens, View]:
     view = view_of_spec(Spec(kernel_size=31))
     fields = view.fields[[0, 4, 8]] * 0.5
     stopped = replace(random_lens(2), semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    return stopped, View(fields, view.efl, view.wavelengths, 9.0, 31)
+    return stopped, View(fields, view.efl, view.wavelengths_um, 9.0, 31)
 
 
 def random_rays(count: int, seed: int, height: float = 0.4, tangent: float = 0.25) -> Rays:

@@ -72,6 +72,6 @@ def in_optiland(lens: Lens, view: View) -> tuple[Optic, numpy.ndarray]:
     degrees = numpy.degrees(numpy.arctan(view.tangents.numpy()))
     for x, y in degrees:
         optic.fields.add(x=x, y=y)
-    for i, wavelength in enumerate(view.wavelengths):
-        optic.wavelengths.add(value=wavelength, is_primary=i == len(view.wavelengths) // 2)
+    for i, wavelength in enumerate(view.wavelengths_um):
+        optic.wavelengths.add(value=wavelength, is_primary=i == len(view.wavelengths_um) // 2)
     return optic, degrees / numpy.hypot(*degrees.T).max()

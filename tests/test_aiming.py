@@ -74,7 +74,7 @@ def test_rays_hit_the_stop_at_their_pupil_points(path, points):
     lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
     rays = launch_fields(lens, view, points)
     assert float(rays.valid.double().mean((1, 2)).min()) >= TOO_WIDE.get(path.stem, 1.0)
-    assert_on_stop(lens, rays, points, view.wavelengths)
+    assert_on_stop(lens, rays, points, view.wavelengths_um)
 
 
 def test_lenses_of_every_kind_are_there():
@@ -132,7 +132,7 @@ def test_rays_on_the_rim_pass_the_stop(path, dtype):
     lens = replace(lens, **{name: getattr(lens, name).to(dtype) for name in names})
     rays = launch_fields(lens, view, rim(64))
     assert rays.x.dtype == dtype
-    image = trace(lens, rays, lens.refractive_indices(view.wavelengths))
+    image = trace(lens, rays, lens.refractive_indices(view.wavelengths_um))
     assert not (rays.valid & (image.lost_at >= 0) & (image.lost_at <= lens.stop)).any()
 
 

@@ -203,7 +203,7 @@ def test_directions_of_the_fields():
     view = View(f64([[0, 0], [3, 4], [-1, 0]]), 5.0, WAVELENGTHS, 1.8, 3)
     torch.testing.assert_close(view.directions, f64([[0, 1], [0.6, 0.8], [-1, 0]]), rtol=0, atol=1e-15)
     torch.testing.assert_close(view.in_meridian().fields, f64([[0, 0], [0, 5], [0, 1]]), rtol=0, atol=1e-15)
-    assert view.in_reference().wavelengths == (WAVELENGTHS[1],)
+    assert view.in_reference().wavelengths_um == (WAVELENGTHS[1],)
 
 
 def test_a_defocused_lens_has_the_mtf_of_its_cone():

@@ -53,11 +53,11 @@ def test_pixels_share_the_energy():
     """The energy of 31 pixels lies between Rayleigh's circles inside and around the window; the PSF is symmetric."""
     lens, view, k = perfect_lens()
     grid = diffraction_psf(lens, view, f64([[0.0, 0.0]]))[0, 0]
-    half = 15.5e-3 * view.pixel_pitch
+    half = 15.5e-3 * view.pixel_pitch_um
     assert encircled_energy(0.95 * half * k) < float(grid.sum()) < encircled_energy(1.05 * math.sqrt(2) * half * k)
     for other in (grid.flip(0), grid.flip(1), grid.T):
         torch.testing.assert_close(other, grid, rtol=0, atol=1e-6)
-    shifted = diffraction_psf(lens, view, f64([[1e-3 * view.pixel_pitch, 0.0]]))[0, 0]
+    shifted = diffraction_psf(lens, view, f64([[1e-3 * view.pixel_pitch_um, 0.0]]))[0, 0]
     torch.testing.assert_close(shifted[:, :-1], grid[:, 1:], rtol=0, atol=1e-5)
 
 
@@ -67,7 +67,7 @@ def test_short_wavelengths_give_the_spot():
     blurred = replace(lens, thickness=lens.thickness + f64([0.0, 0.4]))
 
     def difference(wavelength: float) -> float:
-        colour = replace(view, wavelengths=(wavelength,), kernel_size=61)
+        colour = replace(view, wavelengths_um=(wavelength,), kernel_size=61)
         # Refocus each wavelength, so that the defocus stays the same.
         focus = paraxial(blurred, wavelength).bfl - paraxial(blurred, WAVELENGTH).bfl
         moved = replace(blurred, thickness=blurred.thickness + torch.stack([0 * focus, focus]))
@@ -109,14 +109,14 @@ def huygens_fresnel(lens: Lens, view: View, x: torch.Tensor) -> torch.Tensor:
     U = (1 / lambda) sum_i sqrt(w_i dA_i) (d / r) exp(2 pi i (L_i + r) / lambda) / r, with the area dA_i of ray i in
     that plane, the distance r from its point there, and d from the plane.
     """
-    wavelength, distance = 1e-3 * view.wavelengths[0], lens.thickness[-1]
+    wavelength, distance = 1e-3 * view.wavelengths_um[0], lens.thickness[-1]
     half, share = gauss_quadrature(200, 400)
     pupil, weight = torch.cat([half, half * f64([-1.0, 1.0])]), torch.cat([share, share]) / 2
     shift = 1e-6 * pupil.sign()
     points = torch.cat([pupil, *(pupil - shift * f64(axis) for axis in ([1.0, 0.0], [0.0, 1.0]))])
     at_vertex = replace(lens, thickness=lens.thickness * f64([1.0, 0.0]))
     start = launch_fields(lens, view, points)
-    rays = trace(at_vertex, start, lens.refractive_indices(view.wavelengths))
+    rays = trace(at_vertex, start, lens.refractive_indices(view.wavelengths_um))
     px, py, path = (v.reshape(3, -1) for v in (rays.x, rays.y, rays.path))
     (dx, ex), (dy, ey) = (((v[0] - v[1:]) / shift.T) for v in (px, py))
     amplitude = torch.sqrt(weight * math.pi * weight * (dx * ey - ex * dy).abs())
@@ -160,7 +160,7 @@ def test_against_huygens_in_optiland(name):
     optic, fields = optiland.in_optiland(lens, view)
     for field, optiland_field in enumerate(map(tuple, fields)):
         psf = HuygensPSF(
-            optic, optiland_field, view.wavelengths[channel], num_rays=128, image_size=40, pixel_pitch=0.8e-3
+            optic, optiland_field, view.wavelengths_um[channel], num_rays=128, image_size=40, pixel_pitch=0.8e-3
         )
         x = torch.linspace(-16e-3, 16e-3, 40, dtype=torch.float64)
         values = irradiance(lens, view, field, channel, x + float(psf.cx), x + float(psf.cy)).flatten()

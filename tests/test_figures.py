@@ -46,11 +46,11 @@ def bars_of(figure: Figure) -> list[str]:
 def test_the_spots_say_what_each_colour_and_circle_is(panel):
     figure = draw(figures.draw_spots, panel)
     labels = legend_of(figure)
-    assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths] == labels[:3]
+    assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths_um] == labels[:3]
     assert labels[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
     assert len(bars_of(figure)) == 3
     for axes, field in zip(figure.axes, panel.field_names, strict=True):
-        half = panel.view.kernel_size * panel.view.pixel_pitch / 2
+        half = panel.view.kernel_size * panel.view.pixel_pitch_um / 2
         assert axes.get_xlim() == axes.get_ylim() == (-half, half)  # y upward
         outside = 1 - panel.figures["energy_in_window"][field]
         assert outside > 0.001 and f"{outside:.1%} of the light outside" in axes.get_xlabel()
@@ -105,7 +105,7 @@ def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
 
 def test_scale_bars_of_lenses_in_one_figure_agree(panel):
     """Bars of a lens four times as long, with windows four times as wide, have the same lengths as the small lens's."""
-    lens, view = panel.lens.scaled(4.0), replace(panel.view, pixel_pitch=4 * panel.view.pixel_pitch)
+    lens, view = panel.lens.scaled(4.0), replace(panel.view, pixel_pitch_um=4 * panel.view.pixel_pitch_um)
     large = figures.panel_of("large", lens, view, panel.psf, panel.figures)
     small, alone, both = (bars_of(figures.figure_of(panels)) for panels in ([panel], [large], [panel, large]))
     assert sorted(both)[::2] == sorted(both)[1::2] and set(alone) != set(small)

@@ -169,7 +169,7 @@ def test_derivatives(name):
     def rays(value: torch.Tensor) -> torch.Tensor:
         changed = replace(lens, **{name: value})
         opened = replace(changed, semi_diameter=torch.full((9,), torch.inf, dtype=torch.float64))
-        image = trace(opened, launch_fields(changed, view, points), lens.refractive_indices(view.wavelengths))
+        image = trace(opened, launch_fields(changed, view, points), lens.refractive_indices(view.wavelengths_um))
         return torch.stack([image.x, image.y, wavefront(changed, view, points).opd])
 
     value = getattr(lens, name)
@@ -188,7 +188,7 @@ def test_a_sensor_sees_the_image_where_it_is():
     """Thin lenses do not distort: every pixel sees its own position; its field is the position over the scale."""
     distance = 100.0
     lens, focal = thin_doublet(distance), 1 / (1 / 40 - 1 / 90)
-    view = replace(view_at([[0.0, 0.0], [0.0, 2.0]], distance), efl=focal, wavelengths=(REFERENCE,) * 3)
+    view = replace(view_at([[0.0, 0.0], [0.0, 2.0]], distance), efl=focal, wavelengths_um=(REFERENCE,) * 3)
     psfs = trace_sensor_psfs(lens, view, (40, 60), 40.0, 64, distortion=True)
     rows, columns = ((torch.arange(n) + 0.5) / (n / 2) - 1 for n in (40, 60))
     positions = torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
@@ -243,7 +243,7 @@ def test_spots_are_those_of_the_benchmark(path, monkeypatch):
     weights = [line.number(2) for line in read_lines(path) if line.keyword == "WAVM"][: len(imported.wavelengths_um)]
     view = replace(
         benchmark.view_along_y(imported.lens, [0.0], imported.wavelengths_um),
-        wavelengths=(imported.wavelengths_um[imported.primary],),
+        wavelengths_um=(imported.wavelengths_um[imported.primary],),
         object_vergence=1 / distance,
     )
 
@@ -252,7 +252,7 @@ def test_spots_are_those_of_the_benchmark(path, monkeypatch):
 
     fields = f64([[0.0, benchmark.solve(height, y)] for _, y in imported.fields[1]])
     pupil = benchmark.square_grid(101)
-    rays = trace_fields(imported.lens, replace(view, fields=fields, wavelengths=imported.wavelengths_um), pupil)
+    rays = trace_fields(imported.lens, replace(view, fields=fields, wavelengths_um=imported.wavelengths_um), pupil)
     file_rays = benchmark.rays_of_file(imported, imported.lens, pupil)
     torch.testing.assert_close(rays.y, file_rays.y, rtol=0, atol=1e-9)
     assert 2e3 * float(benchmark.weighted_rms(rays, f64(weights)).max()) == pytest.approx(expected, abs=0.005)

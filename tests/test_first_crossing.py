@@ -91,7 +91,7 @@ def test_published_lenses(path, apertures):
     """Every ray of three fields at every surface, inside and outside the clear apertures."""
     lens, view = reference_lens(path, apertures), reference_view(path, (0.0, 0.7, 1.0)).in_reference()
     start = launch_fields(lens, view, sobol_disc(24, seed=1))
-    _, record = trace_full(lens, start, lens.refractive_indices(view.wavelengths))
+    _, record = trace_full(lens, start, lens.refractive_indices(view.wavelengths_um))
     reach = 2 * float(lens.thickness.abs().max()) + 2 * float(lens.semi_diameter[lens.stop])
     before, count = start, 0
     for i, surface in enumerate(lens.surfaces):

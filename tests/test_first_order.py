@@ -91,7 +91,7 @@ def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
 
 def test_chief_ray_through_the_centre_of_a_thin_lens_goes_straight():
     """With the stop at a thin lens and the image at its focus, chief rays meet the pinhole points exactly."""
-    view = replace(view_of_spec(Spec()), wavelengths=(0.5893,))
+    view = replace(view_of_spec(Spec()), wavelengths_um=(0.5893,))
     c = 1 / view.efl / (N - 1)
     lens = make_lens([0, c / 2, -c / 2], [0, 0, view.efl], ("air", "COC", "air"), semi_diameter=[0.3, 9, 9])
     torch.testing.assert_close(chief_points(lens, view), view.fields, rtol=0, atol=1e-14)

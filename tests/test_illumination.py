@@ -78,7 +78,7 @@ def test_it_is_the_density_of_rays(path, distance):
     x, y = (stop - z * slope).unbind(-1)
     start = launch(x, y, torch.zeros_like(x), slope[:, 0] * n, slope[:, 1] * n, n)
     start = replace(start, **{name: value[None] for name, value in vars(start).items()})
-    rays = trace(lens, start, lens.refractive_indices(view.wavelengths))
+    rays = trace(lens, start, lens.refractive_indices(view.wavelengths_um))
     arrives, r = rays.valid[0], torch.hypot(rays.x[0], rays.y[0])
     edges = torch.linspace(0.3, 1.8, 16, dtype=torch.float64)
     counted = torch.histogram(r[arrives], edges, weight=(n**4)[arrives]).hist / edges.square().diff()

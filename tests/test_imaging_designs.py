@@ -71,7 +71,7 @@ def test_random_starts_have_the_focal_length_and_a_focus():
     starts = random_starts(plates, VIEW, LIMITS, 20, numpy.random.default_rng(3))
     again = random_starts(plates, VIEW, LIMITS, 20, numpy.random.default_rng(3))
     for lens, repeated in zip(starts, again, strict=True):
-        first_order = paraxial(lens, VIEW.wavelengths[1])
+        first_order = paraxial(lens, VIEW.wavelengths_um[1])
         assert float(first_order.efl) == pytest.approx(VIEW.efl, rel=1e-12)
         assert float(first_order.bfl) == pytest.approx(float(lens.thickness[-1]), rel=1e-12)
         assert LIMITS.min_back_focus < float(first_order.bfl) and float(lens.thickness.sum()) < LIMITS.max_track

@@ -49,10 +49,10 @@ def save(tmp_path, **changes) -> lens_files.LensFile:
 def test_wavelengths_are_those_of_the_file(tmp_path, wavelengths, primary, expected):
     """Any number, the primary one in the middle, where the reference is; no remark about them."""
     file = save(tmp_path, wavelengths_um=wavelengths, primary=primary)
-    assert file.view.wavelengths == expected and file.view.reference == wavelengths[primary]
+    assert file.view.wavelengths_um == expected and file.view.reference == wavelengths[primary]
     assert not any("wavelength" in remark for remark in file.remarks)
     other = lens_files.read(tmp_path / "lens.zmx", wavelengths_um=["0.52"])
-    assert other.view.wavelengths == (0.52,)
+    assert other.view.wavelengths_um == (0.52,)
 
 
 def test_any_number_of_wavelengths_is_drawn_and_simulated(tmp_path):
@@ -63,7 +63,7 @@ def test_any_number_of_wavelengths_is_drawn_and_simulated(tmp_path):
     capture = tasklens.simulate(grey, one.lens, one.view, fields=[(0, 3.0)], rays=256)
     assert capture.shape == (1, 3, 60, 60) and torch.allclose(capture[0, 0], capture[0, 2], atol=1e-6)
     four = save(tmp_path, wavelengths_um=(0.7, 0.65, 0.6, 0.55), primary=3)
-    three = replace(four.view, wavelengths=(0.7, 0.6, 0.55))
+    three = replace(four.view, wavelengths_um=(0.7, 0.6, 0.55))
     captures = [tasklens.simulate(image, four.lens, view, fields=[(0, 3.0)], rays=256) for view in (four.view, three)]
     assert torch.equal(*captures)
 
@@ -207,7 +207,7 @@ def test_a_laser_lens_at_its_own_wavelength(tmp_path):
     fields = ("angle_deg", ((0.0, 0.0), (0.0, 1.0)))
     zemax.write(tmp_path / "laser.zmx", Prescription(lens, fields=fields, wavelengths_um=(1.064,), primary=0))
     file = lens_files.read(tmp_path / "laser.zmx")
-    assert file.view.wavelengths == (1.064,) and expected == pytest.approx(6.87, abs=0.01)
+    assert file.view.wavelengths_um == (1.064,) and expected == pytest.approx(6.87, abs=0.01)
     assert tasklens.analyse(file.lens, file.view)["rms_centroid_um"][0] == pytest.approx(expected, rel=1e-3)
 
 

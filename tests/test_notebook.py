@@ -56,7 +56,7 @@ def test_help_can_be_read(name):
 def test_a_lens_and_its_view(doublet, tmp_path):
     """Nine fields up to the corner of the sensor [mm], three wavelengths [um]; it reads back as it was saved."""
     lens, view = doublet
-    assert view.fields.shape == (9, 2) and view.wavelengths == (0.6563, 0.5893, 0.4861)
+    assert view.fields.shape == (9, 2) and view.wavelengths_um == (0.6563, 0.5893, 0.4861)
     assert math.degrees(math.atan(float(view.radii.max()) / view.efl)) == pytest.approx(34.4, abs=1e-9)
     for name in ("saved.yaml", "saved.zmx"):
         tasklens.save_lens(tmp_path / name, lens, view)
@@ -75,12 +75,12 @@ def test_a_changed_value_leaves_the_others_of_a_saved_lens(tmp_path):
         its_lens, its_view = tasklens.load_lens(tmp_path / "cooke.yaml", **changes)
         figures = tasklens.analyse(its_lens, its_view, rays=64)
         expected = {"pixel_pitch_um": 4, "kernel_size": 31, "f_number": 5, "field_of_view_deg": 40} | changes
-        assert its_view.efl == view.efl and its_view.pixel_pitch == expected["pixel_pitch_um"]
+        assert its_view.efl == view.efl and its_view.pixel_pitch_um == expected["pixel_pitch_um"]
         assert its_view.kernel_size == expected["kernel_size"]
         assert figures["f_number"] == pytest.approx(expected["f_number"], rel=1e-9)
         assert 2 * max(figures["angle_deg"]) == pytest.approx(expected["field_of_view_deg"], abs=1e-9)
     coloured = tasklens.load_lens(tmp_path / "cooke.yaml", wavelengths_um=numpy.array([0.6, 0.5, 0.45]))[1]
-    assert coloured.wavelengths == (0.6, 0.5, 0.45)
+    assert coloured.wavelengths_um == (0.6, 0.5, 0.45)
 
 
 def test_a_built_lens_is_not_saved_as_a_nominal_one(doublet, tmp_path):
@@ -129,10 +129,10 @@ def test_psfs_have_the_spots_that_analyse_measures(doublet):
     analysis = tasklens.analyse(lens, view)
     assert grid.shape == (9, 3, view.kernel_size, view.kernel_size)
     assert grid.sum((-2, -1)).mean(1).tolist() == pytest.approx(analysis["energy_in_window"], abs=1e-3)
-    at = view.pixel_pitch * (torch.arange(view.kernel_size) - view.kernel_size // 2).to(grid.dtype)
+    at = view.pixel_pitch_um * (torch.arange(view.kernel_size) - view.kernel_size // 2).to(grid.dtype)
     light = grid.sum(1) / grid.sum((1, 2, 3))[:, None, None]
     x, y = (light * at).sum((1, 2)), (light * at[:, None]).sum((1, 2))
-    variance = (light * (at**2 + at[:, None] ** 2)).sum((1, 2)) - x**2 - y**2 - view.pixel_pitch**2 / 6
+    variance = (light * (at**2 + at[:, None] ** 2)).sum((1, 2)) - x**2 - y**2 - view.pixel_pitch_um**2 / 6
     assert variance.sqrt().tolist() == pytest.approx(analysis["rms_centroid_um"], rel=0.1)
     assert analysis["core_radius_um"][0] < analysis["radius_80_um"][0]
 
@@ -303,7 +303,7 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             "save_lens: expected a path, a lens and its view",
         ),
         (lambda lens, view: tasklens.rank({"a": "a.zmx"}, [(IMAGE, 0)], NETWORK), "expected lenses by name"),
-        (lambda lens, view: PsfCamera(tasklens.psf(lens, replace(view, wavelengths=(0.5,)))), "3 colours"),
+        (lambda lens, view: PsfCamera(tasklens.psf(lens, replace(view, wavelengths_um=(0.5,)))), "3 colours"),
         (lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None], [0.5]), "an index from 0 to 8"),
         (
             lambda lens, view: tasklens.Camera(lens, view)(IMAGE[None, :, :8, :8]),
@@ -349,7 +349,7 @@ def test_colours_do_not_depend_on_the_order_of_wavelengths(doublet):
         ((0.45, 0.65, 0.5), (0.65, 0.5, 0.45)),
         ((0.7, 0.45, 0.6, 0.5, 0.65), (0.7, 0.6, 0.45)),
     ):
-        assert replace(view, wavelengths=wavelengths).in_colours().wavelengths == colours
+        assert replace(view, wavelengths_um=wavelengths).in_colours().wavelengths_um == colours
 
 
 def test_light_around_a_stopped_chief_ray_is_in_the_psf(doublet):

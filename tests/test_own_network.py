@@ -263,7 +263,7 @@ def test_unused_outputs_of_a_module_that_is_not_of_timm():
 
 
 def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
-    """Of the same start and number of steps; better or worse only if the interval says so."""
+    """With the same candidate starts and number of steps; better or worse only if the interval says so."""
     result = designs(
         "task",
         ["COC"],

@@ -37,7 +37,7 @@ def assert_same_image_points(lens: Lens, view: View) -> None:
     ours = trace_fields(lens, view, pupil)
     assert ours.valid.double().mean() > 0.9
     optic, fields = OPTILAND.in_optiland(lens, view)
-    for w, wavelength in enumerate(view.wavelengths):
+    for w, wavelength in enumerate(view.wavelengths_um):
         for f, (hx, hy) in enumerate(fields):
             px, py = pupil.T.numpy()
             theirs = optic.trace_generic(numpy.full(RAYS, hx), numpy.full(RAYS, hy), px, py, wavelength)
@@ -82,7 +82,7 @@ def assert_same_wavefronts(lens: Lens, view: View) -> None:
     assert ours.opd.isfinite().double().mean() > 0.8 and (ours.curvature > 0).all()
     optic, fields = OPTILAND.in_optiland(lens, view)
     for f, field in enumerate(map(tuple, fields)):
-        reference = Wavefront(optic, [field], list(view.wavelengths), distribution=OPTILAND.Points(pupil))
+        reference = Wavefront(optic, [field], list(view.wavelengths_um), distribution=OPTILAND.Points(pupil))
         for w, theirs in enumerate(reference.data.values()):
             through = ours.opd[f, w].isfinite()
             torch.testing.assert_close(ours.opd[f, w][through], f64(theirs.opd)[through], rtol=0, atol=1e-8)
@@ -136,7 +136,7 @@ def test_zernike_coefficients():
     lens, view = asphere_behind_a_stop(0), View(f64([[0.0, 0.0], [0.1, 0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
     optic, fields = OPTILAND.in_optiland(lens, view)
     for f, field in enumerate(map(tuple, fields)):
-        for w, wavelength in enumerate(view.wavelengths):
+        for w, wavelength in enumerate(view.wavelengths_um):
             theirs = ZernikeOPD(optic, field, wavelength, 12, "noll", 28)
             pupil = torch.stack([f64(theirs.distribution.x), f64(theirs.distribution.y)], -1)
             ours = zernike_coefficients(wavefront(lens, view, pupil).opd[f, w], pupil, 28)

@@ -240,7 +240,7 @@ def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
     _, view = blurred()  # 36 mm across
     assert pitch_on_sensor(view, (96, 128)) == 225
     assert pitch_on_sensor(view, (48, 64)) == 450
-    assert pitch_on_sensor(replace(view, pixel_pitch=223.0), (96, 128)) == 223  # nearly full: as it was made
+    assert pitch_on_sensor(replace(view, pixel_pitch_um=223.0), (96, 128)) == 223  # nearly full: as it was made
 
 
 @pytest.mark.parametrize(

@@ -223,7 +223,7 @@ def test_distortion_costs_nothing_about_the_chief_ray(start):
     for centre in ("pinhole", "chief_ray"):
         supervisor = Supervisor(ImageError(True), problem(), None, False, 12, centre)
         energies[centre] = supervisor.trace(stretched, pupil, 1.0)[1].sum((-2, -1)).mean(-1)
-    outer = view.radii > 20e-3 * view.kernel_size * view.pixel_pitch
+    outer = view.radii > 20e-3 * view.kernel_size * view.pixel_pitch_um
     assert outer.any() and (energies["chief_ray"] > 0.999).all() and (energies["pinhole"][outer] < 0.001).all()
 
 
@@ -235,7 +235,7 @@ def test_the_image_error_alone_makes_a_lens():
     images = replace(problem().dataset, images=soft)
 
     def quality(lens):
-        grid = psf(trace_fields(lens, VIEW, sobol_disc(64, 9)), VIEW.fields, 10 * VIEW.pixel_pitch, 11)
+        grid = psf(trace_fields(lens, VIEW, sobol_disc(64, 9)), VIEW.fields, 10 * VIEW.pixel_pitch_um, 11)
         sharp = images.batch(torch.arange(12))[0]
         return float(psnr(PsfCamera(grid.float()).all_fields(sharp), sharp).mean())
 
@@ -334,7 +334,7 @@ def test_descending_lowers_the_loss(start):
     images, labels = dataset.batch(torch.arange(12))
 
     def loss(lens):
-        grid = psf(trace_fields(lens, VIEW, sobol_disc(64, 9)), VIEW.fields, 10 * VIEW.pixel_pitch, 11)
+        grid = psf(trace_fields(lens, VIEW, sobol_disc(64, 9)), VIEW.fields, 10 * VIEW.pixel_pitch_um, 11)
         return float(loss_at_psf(TaskLoss(network), images, labels, grid.float(), CaptureSettings(), 12)[0].mean())
 
     steps = DescentSettings(steps=12, pixels=(10, 10), step_size=0.5)

@@ -58,6 +58,6 @@ def test_optiland_reads_a_lens_of_a_study(tmp_path):
     assert float(optic.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference).efl), rel=5e-4)
     assert optic.fields.num_fields == len(view.fields)
     assert optic.fields.max_y_field == pytest.approx(math.degrees(math.atan(float(view.tangents[:, 1].max()))))
-    assert [float(wave.value) for wave in optic.wavelengths] == list(view.wavelengths)
+    assert [float(wave.value) for wave in optic.wavelengths] == list(view.wavelengths_um)
     ours = zemax.read(tmp_path / "lens.zmx")
     assert ours.lens.media == LENS.media and ours.lens.curvature.tolist() == LENS.curvature.tolist()

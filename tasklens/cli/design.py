@@ -102,7 +102,7 @@ def design(
     force: Force = False,
     json: AsJson = False,
 ) -> None:
-    """Design one lens. A least-squares doublet takes a minute; `task` starts from the better imaging lens.
+    """Design one lens. A least-squares doublet takes a minute; `task` starts from the better of two imaging lenses.
 
     tasklens design --elements COC,OKP4 --f-number 2.8 -o doublet.yaml
 

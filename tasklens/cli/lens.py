@@ -192,7 +192,7 @@ def simulate(
         raise InputError("--true-pixels, --distortion and --illumination: only with --whole-sensor")
     lens = read(file)
     if whole_sensor:
-        pitch = lens.view.pixel_pitch if true_pixels else None
+        pitch = lens.view.pixel_pitch_um if true_pixels else None
         options: Any = {
             "colour": colour or "srgb",
             "distortion": distortion,

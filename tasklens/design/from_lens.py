@@ -225,7 +225,7 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
     """Return the specification of a lens, and its view with nine fields."""
     if file.view.object_vergence:
         raise InputError("designs need an object at infinity: give --object inf, which refocuses the lens")
-    if len(set(file.view.wavelengths)) < 3:
+    if len(set(file.view.wavelengths_um)) < 3:
         raise InputError("designs need three wavelengths: --wavelengths 0.65,0.55,0.47")
     radius = float(paraxial(file.lens, file.view.reference).entrance_pupil_radius)
     efl = file.view.efl  # of the specification, if the file has one
@@ -234,9 +234,9 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         "diagonal_mm": 2 * float(file.view.radii.max()),
         "field_of_view_deg": 2 * math.degrees(math.atan(tangent)),
         "f_number": efl / (2 * radius),
-        "pixel_pitch_um": file.view.pixel_pitch,
+        "pixel_pitch_um": file.view.pixel_pitch_um,
         "kernel_size": file.view.kernel_size,
-        "wavelengths_um": file.view.in_colours().wavelengths,
+        "wavelengths_um": file.view.in_colours().wavelengths_um,
     }
     if not tangent:
         raise InputError(

@@ -55,11 +55,13 @@ class Merit:
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
         marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
         self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last ray is the chief ray
-        self.middle = len(view.wavelengths) // 2
+        self.middle = len(view.wavelengths_um) // 2
         field = corner_weight**heights
-        self.of_field = (field / field.sum() / len(view.wavelengths))[:, None, None]
-        self.keep(torch.ones(len(heights), len(view.wavelengths), len(self.weight), dtype=torch.bool))
-        self.rays = 2 * len(heights) * len(view.wavelengths) * len(self.weight)  # number of ray residuals, then limits
+        self.of_field = (field / field.sum() / len(view.wavelengths_um))[:, None, None]
+        self.keep(torch.ones(len(heights), len(view.wavelengths_um), len(self.weight), dtype=torch.bool))
+        self.rays = (
+            2 * len(heights) * len(view.wavelengths_um) * len(self.weight)
+        )  # number of ray residuals, then limits
         self.per_mm, self.angle_weight = per_mm, angle_weight
         self.launched: tuple[float, Rays] | None = None  # radius of the stop, and rays
 
@@ -76,7 +78,7 @@ class Merit:
     def spot_um(self, residuals: Tensor) -> float:
         """Compute the mean RMS spot radius of the fields [um] from the residuals (R,)."""
         squares = residuals[: self.rays].reshape(2, len(self.of_field), -1).square().sum((0, 2))
-        spots = (squares / (self.of_field[:, 0, 0] * len(self.view.wavelengths))).sqrt()
+        spots = (squares / (self.of_field[:, 0, 0] * len(self.view.wavelengths_um))).sqrt()
         return float(spots.mean())
 
     def clear_semi_diameters(self, lens: Lens) -> Tensor:
@@ -87,7 +89,7 @@ class Merit:
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
         """Return residuals (R,) [um], and a function from V changes of the lens (as in `tracing`) to (R, V) columns."""
         view = self.view
-        rays, traces, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths))
+        rays, traces, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths_um))
         valid = rays.valid[..., : len(self.weight)]
         x, y = self._errors(rays.x, rays.y, valid, change=False)
         errors = [torch.where(valid, 1e3 * self.share * error, _LOST_RAY_UM * self.share) for error in (x, y)]

@@ -26,7 +26,7 @@ class RaySpaceOptimizer:
     """Steps of prescribed ray displacement along the running mean of the gradient (see `ray_space`)."""
 
     def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
-        self.settings, self.pitch = settings, problem.view.pixel_pitch
+        self.settings, self.pitch = settings, problem.view.pixel_pitch_um
         self.space = RaySpace(start, problem.view, problem.limits, problem.free)
         self.values = self.space.start
         self.model = self.space.linearise(self.values)

@@ -179,7 +179,7 @@ class Supervisor:
         view = self.problem.view
         rays = trace_fields(lens, view, pupil)
         centre = view.fields if self.centre == "pinhole" else chief_points(lens, view)
-        return rays, psf(rays, centre, view.pixel_pitch * pixels, view.kernel_size)
+        return rays, psf(rays, centre, view.pixel_pitch_um * pixels, view.kernel_size)
 
     def illumination(self, lens: Lens) -> Tensor | None:
         """Compute the relative illumination (F,) for a sensor, without gradient; None without a sensor."""

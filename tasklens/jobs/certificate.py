@@ -38,7 +38,7 @@ def run(
     displacements_um = displacements(design, view, tolerances, _RAYS).tolist()
     errors_um = {error.name: um for error, um in zip(tolerances, displacements_um, strict=True)}
     limits = manufacturability.markdown(
-        content["margins"], shapes(design), errors_um, settings.grade.name, view.pixel_pitch
+        content["margins"], shapes(design), errors_um, settings.grade.name, view.pixel_pitch_um
     )
     write_text(page, f"{text}\n{limits}")
     zemax_files.write(

@@ -70,7 +70,7 @@ def run(
 
 def _frame_shape(view: View) -> tuple[int, int]:
     """Return height and width of a frame: at most 1080 x 1920, and not more pixels than the sensor has."""
-    diagonal = 2e3 * float(view.radii.max()) / view.pixel_pitch
+    diagonal = 2e3 * float(view.radii.max()) / view.pixel_pitch_um
     scale = min(1.0, diagonal / math.hypot(*_SHAPE))
     return int(scale * _SHAPE[0]), int(scale * _SHAPE[1])
 

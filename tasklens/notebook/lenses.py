@@ -193,7 +193,7 @@ def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> 
         diffraction: sum plane waves instead of counting rays; takes half a minute.
 
     Returns:
-        (F, W, K, K) energies on the sensor's pixels around the chief ray, in the order of `view.wavelengths`
+        (F, W, K, K) energies on the sensor's pixels around the chief ray, in the order of `view.wavelengths_um`
         (`view.in_colours()`: red, green, blue); rows run along y, columns along x. Each PSF sums to the fraction of the
         light inside the window.
 

@@ -1,4 +1,4 @@
-"""Verdict on a lens for a task: comparison with the best image-quality lens of the same start and effort."""
+"""Verdict on a lens for a task: comparison with the best image-quality lens of the same candidates and effort."""
 
 import torch
 
@@ -37,8 +37,8 @@ def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
     answer = "better" if low > 0 else "worse" if high < 0 else "not shown to be better or worse"
     words = (
         f"On {len(unused)} photographs that no design has used, the network recognises {task.mean():.1f} % through "
-        f"this lens, and {baseline.mean():.1f} % through the best lens for image quality of the same start and effort "
-        f"({best}, chosen on photographs of the design): {gain:+.1f} points ({low:+.1f} to {high:+.1f}), {answer}. "
-        "The interval is over the photographs; it is one design of each kind."
+        f"this lens, and {baseline.mean():.1f} % through the best lens for image quality with the same candidate "
+        f"starts and effort ({best}, chosen on photographs of the design): {gain:+.1f} points ({low:+.1f} to "
+        f"{high:+.1f}), {answer}. The interval is over the photographs; it is one design of each kind."
     )
     return words, ranking

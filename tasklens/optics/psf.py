@@ -52,7 +52,7 @@ def psf_notes(view: View, grid: Tensor) -> dict[str, Any]:
     near = {"object_distance_mm": view.object_distance} if view.object_vergence else {}
     return near | {
         "fields_mm": view.fields.tolist(),
-        "wavelengths_um": view.wavelengths,
-        "pixel_pitch_um": view.pixel_pitch,
+        "wavelengths_um": view.wavelengths_um,
+        "pixel_pitch_um": view.pixel_pitch_um,
         "energy_inside": grid.sum((-2, -1)).tolist(),
     }

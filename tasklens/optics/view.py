@@ -17,8 +17,8 @@ class View:
     Attributes:
         fields: (F, 2) image points of the pinhole camera [mm].
         efl: focal length of the pinhole camera [mm].
-        wavelengths: W wavelengths [um]; the middle one is the reference.
-        pixel_pitch: pixel pitch [um].
+        wavelengths_um: W wavelengths; the middle one is the reference.
+        pixel_pitch_um: pixel pitch.
         kernel_size: width of the PSF window [pixels], odd.
         object_vergence: 1 / distance of the object in front of the first vertex [1/mm]; 0 for an object at infinity.
 
@@ -28,8 +28,8 @@ class View:
 
     fields: Tensor
     efl: float
-    wavelengths: tuple[float, ...]
-    pixel_pitch: float
+    wavelengths_um: tuple[float, ...]
+    pixel_pitch_um: float
     kernel_size: int
     object_vergence: float = 0.0
 
@@ -67,21 +67,21 @@ class View:
     @property
     def reference(self) -> float:
         """Reference (middle) wavelength [um]."""
-        return self.wavelengths[len(self.wavelengths) // 2]
+        return self.wavelengths_um[len(self.wavelengths_um) // 2]
 
     def in_reference(self) -> "View":
         """Return the view at the reference wavelength only."""
-        return replace(self, wavelengths=(self.reference,))
+        return replace(self, wavelengths_um=(self.reference,))
 
     def in_colours(self) -> "View":
         """Return the view at three wavelengths for red, green and blue: the longest, the reference, the shortest.
 
         If the reference is the longest or the shortest of three or more, green is one between them.
         """
-        ordered = sorted(set(self.wavelengths), reverse=True)
+        ordered = sorted(set(self.wavelengths_um), reverse=True)
         between = ordered[1:-1]
         green = self.reference if self.reference in between or not between else between[len(between) // 2]
-        return replace(self, wavelengths=(ordered[0], green, ordered[-1]))
+        return replace(self, wavelengths_um=(ordered[0], green, ordered[-1]))
 
     def along_y(self, radii: Tensor) -> "View":
         """Return the view with fields at `radii` (F,) [mm] along +y."""

@@ -120,8 +120,10 @@ def _screened(
     if not tangent:
         raise InputError("its file has no field except the axis")
     remarks = [*file.prescription.remarks]
-    if _differ(file.view.wavelengths, sensor.wavelengths_um):
-        own, others = (", ".join(f"{value:g}" for value in v) for v in (file.view.wavelengths, sensor.wavelengths_um))
+    if _differ(file.view.wavelengths_um, sensor.wavelengths_um):
+        own, others = (
+            ", ".join(f"{value:g}" for value in v) for v in (file.view.wavelengths_um, sensor.wavelengths_um)
+        )
         remarks.append(f"is designed for {own} um, and ranked at {others} um (--wavelengths)")
     if not scaled:
         radius = efl * tangent

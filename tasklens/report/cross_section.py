@@ -75,7 +75,7 @@ def _rays(axes: Axes, lens: Lens, view: View, field_names: Mapping[int, str]) ->
     along_y = view.in_reference().along_y(radius)
     fan = torch.stack([torch.zeros(_RAYS), torch.linspace(-_PUPIL, _PUPIL, _RAYS)], -1).double()
     start = launch_fields(lens, along_y, fan)
-    image, surface_rays = trace_full(lens, start, lens.refractive_indices(along_y.wavelengths))
+    image, surface_rays = trace_full(lens, start, lens.refractive_indices(along_y.wavelengths_um))
     # Rays are drawn from the foremost plane straight to the first refracting surface, since a stop may be behind it.
     z_surfaces = [surface_rays[i].z[:, 0] + vertices[i] for i in lens.refracting_surfaces]
     y_surfaces = [surface_rays[i].y[:, 0] for i in lens.refracting_surfaces]

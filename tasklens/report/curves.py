@@ -42,7 +42,7 @@ def ray_fans(
     for k, (field, name) in enumerate(field_names.items()):
         for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
             axes = all_axes[2 * k + i]
-            for w, (wavelength, style) in enumerate(zip(view.wavelengths, BY_WAVELENGTH, strict=False)):
+            for w, (wavelength, style) in enumerate(zip(view.wavelengths_um, BY_WAVELENGTH, strict=False)):
                 axes.plot(fans.pupil, 1e3 * errors[field, w], lw=1, label=f"{1e3 * wavelength:.0f} nm", **style)
             axes.set(xlim=(-1, 1), ylim=(-half_um, half_um), xticks=(-1, 0, 1))
             axes.set_title(f"{name} {label}", fontsize=9)
@@ -75,8 +75,8 @@ def encircled(axes: Axes, rays: Rays, centre: Tensor, view: View, field_names: M
     for k, ((field, name), colour) in enumerate(zip(field_names.items(), FIELD_COLOURS, strict=False)):
         axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
     axes.axhline(0.5, color="grey", lw=0.6)
-    axes.axvline(view.pixel_pitch, color="grey", lw=1, ls=":", label="a pixel")
-    half = view.kernel_size * view.pixel_pitch / 2
+    axes.axvline(view.pixel_pitch_um, color="grey", lw=1, ls=":", label="a pixel")
+    half = view.kernel_size * view.pixel_pitch_um / 2
     axes.axvline(half, color="grey", lw=1, ls="--", label="PSF window")
     axes.set(xscale="log", xlim=_RADII_UM, ylim=(0, 1.02))
     axes.set(xlabel="radius about the chief ray [um]", title="encircled energy")
@@ -102,7 +102,7 @@ def mtf_by_focus(
     field_names: Mapping[int, str],
 ) -> None:
     """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
-    half = _DEPTH * view.pixel_pitch * figures["f_number"]
+    half = _DEPTH * view.pixel_pitch_um * figures["f_number"]
     shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
     for (field, name), colour in zip(field_names.items(), FIELD_COLOURS, strict=False):
         values = []

@@ -30,6 +30,6 @@ def _panel(title: str, lens: Lens, view: View, rays: int) -> Panel:
     lens = lens.detached()
     psf = evaluation_psf(lens, view.in_colours(), rays).float()
     lens_figures = figures(lens, view, rays)
-    view = view if len(view.wavelengths) < _COLOURS else view.in_colours()
+    view = view if len(view.wavelengths_um) < _COLOURS else view.in_colours()
     lens = with_clear_apertures(lens, _RIM * clear_semi_diameters(lens, view))
     return panel_of(title, lens, view, psf, lens_figures)

@@ -72,7 +72,7 @@ class Panel:
     @property
     def shown_um(self) -> float:
         """Largest ray error that spots and ray fans show."""
-        return self.half_um or self.view.kernel_size * self.view.pixel_pitch / 2
+        return self.half_um or self.view.kernel_size * self.view.pixel_pitch_um / 2
 
     @property
     def field_names(self) -> dict[int, str]:
@@ -107,7 +107,7 @@ def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
 def figure_of(panels: Sequence[Panel]) -> Figure:
     """Return the figure of one lens, or of several one above the other."""
     mm = min(float(panel.lens.thickness.sum()) for panel in panels)
-    um = min(panel.view.kernel_size * panel.view.pixel_pitch for panel in panels)
+    um = min(panel.view.kernel_size * panel.view.pixel_pitch_um for panel in panels)
     half_um = _round_up(max(_spread_um(panel) for panel in panels))
     panels = [replace(panel, narrowest_mm=mm, narrowest_um=um, half_um=half_um) for panel in panels]
     whole = Figure(figsize=(13, 11.5 * len(panels)), layout="constrained")

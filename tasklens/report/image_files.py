@@ -33,7 +33,7 @@ def write_psf(path: Path, grid: Tensor, lens: Lens, view: View) -> None:
         write_tensors(path, {"psf": grid.float(), "illumination": illumination.float()}, notes)
     else:
         image = (grid / grid.amax((1, 2, 3), keepdim=True).clamp(min=1e-12)).sqrt()
-        order = sorted(range(len(view.wavelengths)), key=lambda k: -view.wavelengths[k])  # red first
+        order = sorted(range(len(view.wavelengths_um)), key=lambda k: -view.wavelengths_um[k])  # red first
         _save(path, _mosaic(image[:, [order[0], order[len(order) // 2], order[-1]]]), _ZOOM)
 
 

@@ -43,7 +43,7 @@ def spots(
     for axes, (field, name) in zip(
         part.subplots(1, len(field_names), squeeze=False)[0], field_names.items(), strict=True
     ):
-        for w, (wavelength, style) in enumerate(zip(view.wavelengths, BY_WAVELENGTH, strict=False)):
+        for w, (wavelength, style) in enumerate(zip(view.wavelengths_um, BY_WAVELENGTH, strict=False)):
             x, y = points[field, w].unbind(-1)
             axes.scatter(x, y, s=1.2, lw=0, color=style["color"], rasterized=True)
             axes.plot([], [], "o", color=style["color"], ms=4, label=f"{1e3 * wavelength:.0f} nm")
@@ -81,7 +81,7 @@ def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mappin
     """Draw the PSFs of all fields from axis to corner: square root above, four decades of the logarithm below."""
     order = torch.argsort(view.radii, stable=True).tolist()
     grid = part.subplots(2, len(order), squeeze=False)
-    half = view.kernel_size * view.pixel_pitch / 2
+    half = view.kernel_size * view.pixel_pitch_um / 2
     for column, field in enumerate(order):
         shares = psf[field].permute(1, 2, 0) / psf[field].max().clamp(min=1e-30)
         logarithm = (1 + shares.clamp(min=1e-30).log10() / _DECADES).clamp(0, 1)

@@ -44,7 +44,7 @@ def pitch_on_sensor(view: View, shape: tuple[int, int]) -> float:
     not, the pitch at which the image diagonal equals the sensor diagonal (twice the largest field).
     """
     filling = 2e3 * float(view.radii.max()) / math.hypot(*shape)
-    return view.pixel_pitch if 1 <= filling / view.pixel_pitch <= 1 + _NOMINAL else filling
+    return view.pixel_pitch_um if 1 <= filling / view.pixel_pitch_um <= 1 + _NOMINAL else filling
 
 
 class _FieldMap:

@@ -54,7 +54,7 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
 
     Source: Welford, Aberrations of Optical Systems (1986), chapters 8 and 10.
     """
-    wavelengths = (view.reference, min(view.wavelengths), max(view.wavelengths))
+    wavelengths = (view.reference, min(view.wavelengths_um), max(view.wavelengths_um))
     n, shortest, longest = lens.refractive_indices(wavelengths).unbind(-1)
     dispersion = (shortest - longest) / n
     first_order = paraxial(lens, view.reference)

@@ -48,12 +48,12 @@ def view_of(lens: Lens, content: dict, name: str) -> View:
             _odd(spec["kernel_size"], "kernel_size"),
             1 / positive(near, "object_distance_mm") if near is not None else 0.0,
         )
-        lens.refractive_indices(view.wavelengths)
+        lens.refractive_indices(view.wavelengths_um)
     except KeyError as error:
         raise FileError(f"{name}: its spec has no {error.args[0]}") from error
     except InputError as error:
         raise FileError(f"{name}: its spec cannot be used: {error}") from error
-    if not len(view.fields) or not view.wavelengths:
+    if not len(view.fields) or not view.wavelengths_um:
         raise FileError(f"{name}: its spec has no fields or no wavelengths")
     try:
         check_stop(lens)
@@ -67,8 +67,8 @@ def spec_of(view: View) -> dict[str, Any]:
     return {
         "fields_mm": view.fields.tolist(),
         "efl_mm": view.efl,
-        "wavelengths_um": list(view.wavelengths),
-        "pixel_pitch_um": view.pixel_pitch,
+        "wavelengths_um": list(view.wavelengths_um),
+        "pixel_pitch_um": view.pixel_pitch_um,
         "kernel_size": view.kernel_size,
     }
 
@@ -147,7 +147,7 @@ def seidel_by_surface(lens: Lens, view: View) -> dict[str, list[float]]:
 
 def _nyquist(view: View) -> float:
     """Compute the Nyquist frequency of the pixels [cycles/mm]."""
-    return 1e3 / (2 * view.pixel_pitch)
+    return 1e3 / (2 * view.pixel_pitch_um)
 
 
 def _by_field(lens: Lens, view: View, rays: int) -> dict:
@@ -155,7 +155,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
     traced, chief_ray = trace_fields(lens, view, pupil), chief_rays(lens, view)
     middle, chief = centroid(traced), torch.cat([chief_ray.x[:, 0], chief_ray.y[:, 0]], -1)
     offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
-    inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch / 2e3)
+    inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch_um / 2e3)
     quarter_and_half = (_nyquist(view) / 4, _nyquist(view) / 2)
     mtf_tangential, mtf_sagittal = geometric_mtf(traced, view.directions, quarter_and_half)
     focus_tangential, focus_sagittal = field_curvature(lens, view)

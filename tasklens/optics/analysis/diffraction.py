@@ -43,7 +43,7 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
     Returns:
         Irradiance for a total energy of 1 of the launched rays; the energy of lost rays is missing.
     """
-    wavelength = 1e-3 * view.wavelengths[channel]
+    wavelength = 1e-3 * view.wavelengths_um[channel]
     coarse = _waves(lens, view, field, channel, _COARSE)
     beyond = _MARGIN * wavelength / coarse.aperture
     coarse = coarse.near(x, y, beyond)
@@ -72,13 +72,13 @@ def diffraction_psf(lens: Lens, view: View, centre: Tensor) -> Tensor:
     Args:
         centre: (F, 2) centre of the window on the image plane [mm].
     """
-    pitch, size = 1e-3 * view.pixel_pitch, view.kernel_size
+    pitch, size = 1e-3 * view.pixel_pitch_um, view.kernel_size
     grids = []
     for field in range(len(view.fields)):
-        for channel, wavelength in enumerate(view.wavelengths):
+        for channel, wavelength in enumerate(view.wavelengths_um):
             # The irradiance has no frequencies above aperture / wavelength.
             aperture = _waves(lens, view, field, channel, _COARSE).aperture
-            count = max(_LEAST_SAMPLES, math.ceil(1.05 * view.pixel_pitch * aperture / wavelength))
+            count = max(_LEAST_SAMPLES, math.ceil(1.05 * view.pixel_pitch_um * aperture / wavelength))
             offsets = torch.arange(-count * (size // 2 + 1), count * (size // 2 + 1) + 1, dtype=torch.float64) / count
             tri = (1 - (torch.arange(size)[:, None] - size // 2 - offsets).abs()).clamp(min=0)
             x, y = (pitch * offsets + centre[field, k] for k in (0, 1))
@@ -133,7 +133,7 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int) -> _Wav
     # Shifts point to the centre, so that few shifted rays are lost; the wave of such a ray is left out.
     shifts = -_SHIFT * torch.where(pupil < 0, -1.0, 1.0)
     points = torch.cat([pupil, pupil + shifts * torch.tensor([1.0, 0.0]), pupil + shifts * torch.tensor([0.0, 1.0])])
-    wavelengths = (view.wavelengths[channel],)
+    wavelengths = (view.wavelengths_um[channel],)
     indices = lens.refractive_indices(wavelengths)
     of_field = replace(view, fields=view.fields[field : field + 1])
     start = launch_fields(lens, of_field, points, wavelengths)
@@ -145,7 +145,7 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int) -> _Wav
     x, y, length = (v.reshape(3, -1)[0] for v in (rays.x, rays.y, phase))
     determinant = dl[0] * dm[1] - dl[1] * dm[0]
     diverging = torch.where(determinant < 0, 1, torch.where(dl[0] + dm[1] > 0, 2, 0))
-    length = length - l[0] * x - m[0] * y + 1e-3 * view.wavelengths[channel] / 4 * diverging
+    length = length - l[0] * x - m[0] * y + 1e-3 * view.wavelengths_um[channel] / 4 * diverging
     return _Waves(x, y, l[0], m[0], length, determinant.abs(), weight).chosen(valid)
 
 

@@ -35,7 +35,7 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
     lens, turned = replace(lens, pose=None), view.in_reference().in_meridian()
     with_axis = replace(turned, fields=torch.cat([torch.zeros_like(turned.fields[:1]), turned.fields]))
     points, weights = gauss_quadrature(rings, arms)  # half pupil x > 0: fields on y are symmetric in x
-    indices = lens.refractive_indices(with_axis.wavelengths)
+    indices = lens.refractive_indices(with_axis.wavelengths_um)
 
     def launched(pupil: Tensor) -> Tensor:
         rays = launch_fields(lens, with_axis, pupil)

@@ -94,7 +94,7 @@ def launch_fields(lens: Lens, view: View, pupil: Tensor, wavelengths: tuple[floa
         InputError: the stop has no radius, or an infinite one; or the object is in the lens.
     """
     check_stop(lens)
-    wavelengths = wavelengths or view.wavelengths
+    wavelengths = wavelengths or view.wavelengths_um
     first_order = paraxial(lens, wavelengths[len(wavelengths) // 2])
     tangents, vergence, pupil = vertex_tangents(lens, view), view.object_vergence, pupil.to(lens.dtype)
     if stop_is_inside(lens):

@@ -28,13 +28,13 @@ OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and
 def trace_fields(lens: Lens, view: View, pupil: Tensor) -> Rays:
     """Trace rays (F, W, N) of all fields and wavelengths through the points `pupil` (N, 2) to the image plane."""
     rays = launch_fields(lens, view, pupil)
-    return trace(lens, rays, lens.refractive_indices(view.wavelengths))
+    return trace(lens, rays, lens.refractive_indices(view.wavelengths_um))
 
 
 def trace_fields_full(lens: Lens, view: View, pupil: Tensor) -> tuple[Rays, list[Rays]]:
     """Trace rays as `trace_fields` does; return also rays behind every surface, z from its vertex, without graph."""
     rays = launch_fields(lens, view, pupil)
-    return trace_full(lens, rays, lens.refractive_indices(view.wavelengths))
+    return trace_full(lens, rays, lens.refractive_indices(view.wavelengths_um))
 
 
 def chief_rays(lens: Lens, view: View) -> Rays:
@@ -173,6 +173,8 @@ def evaluation_psf(lens: Lens, view: View, rays: int, diffraction: bool = False)
     transmission = (~traced.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / rays)
     centre = chief_points(lens, view)
     grid = (
-        diffraction_psf(lens, view, centre) if diffraction else psf(traced, centre, view.pixel_pitch, view.kernel_size)
+        diffraction_psf(lens, view, centre)
+        if diffraction
+        else psf(traced, centre, view.pixel_pitch_um, view.kernel_size)
     )
     return grid / transmission[..., None, None]

@@ -46,7 +46,7 @@ def tail(lens: Lens, view: View, rays: int) -> tuple[list[dict], list[dict]]:
     traced, centre = trace_fields(lens, view, sobol_disc(rays, seed=0)), chief_points(lens, view)
     core = encircled_energy_radius(traced, centre, 0.5)
     offset = torch.stack([traced.x, traced.y], -1) - centre[:, None, None]
-    inside = traced.valid & (offset.abs().amax(-1) < view.kernel_size * view.pixel_pitch / 2e3)
+    inside = traced.valid & (offset.abs().amax(-1) < view.kernel_size * view.pixel_pitch_um / 2e3)
     tail_energy = 1 - encircled_energy(traced, centre, TAIL * core[:, None])[:, 0]
     figures = {
         "core_radius_um": 1e3 * core,

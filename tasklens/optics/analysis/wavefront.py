@@ -69,18 +69,18 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
     Source: Welford, Aberrations of Optical Systems (1986), chapter 7.
     """
     start = launch_fields(lens, view, torch.cat([_CENTRE, pupil]))
-    indices = lens.refractive_indices(view.wavelengths)
+    indices = lens.refractive_indices(view.wavelengths_um)
     rays = trace(lens, start, indices)
     if centre is None:
         centre = torch.stack([rays.x[..., 0], rays.y[..., 0]], -1)
     elif centre.dim() == 2:
-        centre = centre[:, None].expand(-1, len(view.wavelengths), -1)
+        centre = centre[:, None].expand(-1, len(view.wavelengths_um), -1)
     vergence = paraxial(lens, view.reference).pupil_vergence
     curvature = vergence / torch.sqrt(1 + vergence**2 * centre.square().sum(-1))
     distance, towards, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
     phase = indices[0, :, None] * object_path(lens, view, start)
     length = phase + rays.path - indices[-1, :, None] * distance
-    waves = (length[..., :1] - length) / (1e-3 * torch.tensor(view.wavelengths, dtype=lens.dtype)[:, None])
+    waves = (length[..., :1] - length) / (1e-3 * torch.tensor(view.wavelengths_um, dtype=lens.dtype)[:, None])
     valid = meets & meets[..., :1]
     waves, towards = torch.where(valid, waves, torch.nan), torch.where(valid[..., None], towards, torch.nan)
     return Wavefront(waves[..., 1:], towards[..., 1:, :], centre, curvature)

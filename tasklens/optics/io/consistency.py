@@ -48,5 +48,5 @@ def check_copies(source: Prescription, spec: Mapping[str, Any], view: View, name
                 f"{name}: spec.{key} = {spec[key]} contradicts {others}, from which it is {value:.4g}; restore it, and "
                 "give other values as options, such as --field-of-view or --f-number, or as keywords"
             )
-    if source.wavelengths_um not in (None, view.wavelengths):
+    if source.wavelengths_um not in (None, view.wavelengths_um):
         raise FileError(f"{name}: wavelengths_um and spec.wavelengths_um differ; correct one of them")

@@ -41,7 +41,7 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
     name = str(settings.file)
     source = read(settings)
     try:
-        source.lens.refractive_indices(view.wavelengths)
+        source.lens.refractive_indices(view.wavelengths_um)
     except ValueError as error:
         raise FileError(f"{name}: {error}") from None
     efl = float(paraxial(source.lens, view.reference).efl)

@@ -137,9 +137,9 @@ def _specified(
     """Return a lens with the changed specification of its file."""
     lens, view = source.lens, view_of(source.lens, content, name)
     consistency.check_copies(source, content["spec"], view, name)
-    wavelengths = wavelengths or view.wavelengths
+    wavelengths = wavelengths or view.wavelengths_um
     lens.refractive_indices(wavelengths)
-    lens, view = _changed(lens, replace(view, wavelengths=wavelengths, object_vergence=vergence), changes)
+    lens, view = _changed(lens, replace(view, wavelengths_um=wavelengths, object_vergence=vergence), changes)
     lens, remarks = _refocused(lens, view, source.object_distance_mm)
     return LensFile(source, lens, view, content, tuple(remarks))
 
@@ -194,7 +194,7 @@ def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, 
         view = replace(view, fields=fields * (corner / fields.norm(dim=-1).max()))
     view = replace(
         view,
-        pixel_pitch=changes.get("pixel_pitch_um", view.pixel_pitch),
+        pixel_pitch_um=changes.get("pixel_pitch_um", view.pixel_pitch_um),
         kernel_size=changes.get("kernel_size", view.kernel_size),
     )
     if "f_number" in changes:
@@ -231,7 +231,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
             f"focal length {efl:.4g} mm: expected a positive one; relays and afocal lenses are not supported"
         )
     source.lens.refractive_indices(wavelengths)
-    view = replace(view_of_spec(Spec()), efl=efl, wavelengths=wavelengths, object_vergence=vergence)
+    view = replace(view_of_spec(Spec()), efl=efl, wavelengths_um=wavelengths, object_vergence=vergence)
     if "field_of_view_deg" not in changes:
         tangent = largest_tangent(source, efl, float(first_order.entrance_pupil_z), reference)
         view = replace(view, fields=view.fields * (efl * tangent / view.radii.max()))
@@ -240,7 +240,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
             remarks.append("the file has no field except the axis (--field-of-view)")
     lens, view = _changed(source.lens, view, changes)
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
-        pixels = f"{view.pixel_pitch} um, and PSF windows of {view.kernel_size} pixels"
+        pixels = f"{view.pixel_pitch_um} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
     lens, focus_remarks = _refocused(lens, view, source.object_distance_mm)
     return LensFile(source, lens, view, {}, (*remarks, *focus_remarks))

@@ -263,7 +263,7 @@ def with_system_data(prescription: Prescription, view: View) -> Prescription:
     if prescription.fields is None:
         changes["fields"] = "angle_deg", tuple((x, y) for x, y in angles)
     if prescription.wavelengths_um is None:
-        changes |= {"wavelengths_um": tuple(view.wavelengths), "primary": len(view.wavelengths) // 2}
+        changes |= {"wavelengths_um": tuple(view.wavelengths_um), "primary": len(view.wavelengths_um) // 2}
     if math.isinf(prescription.object_distance_mm):
         changes["object_distance_mm"] = view.object_distance
     return replace(prescription, **changes)

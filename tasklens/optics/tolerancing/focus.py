@@ -91,4 +91,4 @@ def focused(lens: Lens, view: View, nominal_peak: Tensor) -> tuple[Lens, Tensor]
 
 def frequency(view: View) -> float:
     """Return the frequency at which lenses are focused [cycles/mm]."""
-    return _FREQUENCY * 1e3 / (2 * view.pixel_pitch)
+    return _FREQUENCY * 1e3 / (2 * view.pixel_pitch_um)
