@@ -10,6 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
+from tasklens.study.ranking_settings import RankingSettings
 from tasklens.study.study import Study
 
 ROOT = Path(__file__).parents[1]
@@ -48,6 +49,8 @@ def _models(path: str, model: type[BaseModel]) -> Iterator[tuple[str, type[BaseM
     """Yield the path and the settings of each group of keys, outer groups first; groups of equal settings once each."""
     yield path, model
     for name, field in model.model_fields.items():
+        if field.annotation is RankingSettings:  # only `tasklens rank` writes it
+            continue
         inner = f"{path}.{name}".lstrip(".")
         for group, by_name in _nested(field.annotation):
             yield from _models(f"{inner}.NAME" if by_name else inner, group)

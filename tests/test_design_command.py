@@ -183,7 +183,11 @@ MISTAKES = [
     (("--catalogue", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
     (("--network", "test_resnet", "--weights", "words.pth"), "method least_squares: has no network; choose task"),
     (("--images", "photographs", "--size", "32"), "method least_squares: has no images"),
-    (("--method", "contrast", "--size", "128"), "size: only for the photographs of a folder"),
+    (("--method", "contrast", "--size", "128"), "size: only for a folder of photographs"),
+    (
+        (*TASK, "--weights", "words.pth", "--set", "descents.0.network_learning_rate=1e-4"),
+        "network_learning_rate: only with the methods joint and end_to_end, not task",
+    ),
     (("--method", "tasc", "--elements", "COC|PMMA,OKP4|PC"), "method 'tasc': expected one of"),
     (("--elements", "COC|PMMA,OKP4|GLASS"), "unknown glass 'GLASS'"),
     (("--weights", "words.pth"), "--weights, --pretrained, --outputs, --argument: only with --network NAME"),

@@ -55,10 +55,10 @@ class Dimming(PsfCamera):
         super().__init__(torch.zeros(len(factors), 3, 3, 3))
         self.factors = torch.tensor(factors)[:, None, None, None, None]
 
-    def grid(self, images, generator=None):
+    def all_fields(self, images, generator=None):
         return self.factors * images
 
-    def single(self, images, fields, noise=None):
+    def __call__(self, images, fields, noise=None):
         return self.factors[fields, 0] * images
 
 

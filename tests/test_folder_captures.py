@@ -10,6 +10,7 @@ from PIL import Image
 
 import tasklens
 from tasklens.cli.app import main
+from tasklens.notebook import folder_captures
 
 LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-tasklens.yaml"
 OPTIONS = ("--size", "64", "--rays", "256")
@@ -55,6 +56,14 @@ def test_each_photograph_is_captured_at_its_field(photos, capsys):
     assert run("photos", "-o", "noisy", *OPTIONS, "--noise", "6000") == 0
     assert rows_of("noisy") == rows
     assert not torch.equal(opened(Path("noisy/cat/a.png")), opened(Path("out/cat/a.png")))
+
+
+def test_captures_keep_their_fields_if_a_later_photograph_cannot_be_read(photos, monkeypatch):
+    """The table of fields comes before the first capture."""
+    monkeypatch.setattr(folder_captures, "_BLOCK", 1)
+    (photos / "dog" / "c.PNG").write_text("no image")
+    assert run("photos", "-o", "out", *OPTIONS) == 2
+    assert len(rows_of("out")) == 4 and Path("out/cat/a.png").is_file()
 
 
 def test_all_photographs_at_one_field(photos):

@@ -43,7 +43,7 @@ def direct(images: torch.Tensor, psf: torch.Tensor) -> torch.Tensor:
 
 
 @pytest.mark.parametrize("shape", [(25, 32), (16, 16), (64, 64), (37, 41)])
-def test_grid_is_a_convolution_with_a_veil(shape):
+def test_captures_are_a_convolution_with_a_veil(shape):
     images, psf = random_images(0, *shape), random_psf(1)
     torch.testing.assert_close(PsfCamera(psf).all_fields(images), direct(images, psf), rtol=0, atol=1e-5)
 
@@ -119,7 +119,7 @@ def test_light_adds_up_linearly():
 
 
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
-def test_single_is_one_field_of_the_grid(colour):
+def test_one_field_is_that_of_all_fields(colour):
     images, camera = random_images(9), PsfCamera(random_psf(10), colour=colour)
     fields = torch.tensor([3, 0, 3])
     expected = camera.all_fields(images)[fields, torch.arange(B)]
@@ -158,7 +158,7 @@ FIELDS = torch.tensor([3, 0, 3])
             lambda psf, images: direct(images, psf)[FIELDS, torch.arange(B)],
         ),
     ],
-    ids=["grid", "single"],
+    ids=["all_fields", "one_field"],
 )
 def test_gradients_are_those_of_the_direct_convolution(render, reference, shape):
     """Gradients at PSFs and images, compared with double precision, relative to the largest."""

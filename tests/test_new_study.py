@@ -101,9 +101,9 @@ def test_a_check_of_networks_reads_their_weights(place, capsys):
     save_file(timm.create_model("test_resnet", num_classes=10).state_dict(), "mine.safetensors")
     classifiers = {"small": {"model": "test_resnet", "weights": "mine.safetensors"}}
     write("mine.yaml", yaml.safe_dump(tiny_study() | {"classifiers": classifiers}))
-    assert study("check", "mine.yaml", "--networks") == 0
+    assert study("check", "mine.yaml", "--build-networks") == 0
     save_file(timm.create_model("test_resnet", num_classes=7).state_dict(), "mine.safetensors")
-    assert study("check", "mine.yaml") == 0 and study("check", "mine.yaml", "--networks") == 2
+    assert study("check", "mine.yaml") == 0 and study("check", "mine.yaml", "--build-networks") == 2
     assert "no weights for test_resnet with 10 outputs" in capsys.readouterr().err
 
 
@@ -116,7 +116,7 @@ def test_a_new_study_of_a_folder_without_splits(place):
     assert study("new", "pets", "--images", "pets", "--networks", "resnet", "--minutes", "600", "--yes") == 0
     images = load("pets.yaml").images
     assert (images.test, images.minival, images.train) == (10, 8, None)
-    assert study("check", "pets.yaml", "--no-weights") == 0
+    assert study("check", "pets.yaml", "--no-weight-files") == 0
 
 
 def test_the_least_study_of_photographs_has_fewer_of_them(place):

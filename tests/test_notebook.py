@@ -318,7 +318,7 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             lambda lens, view: tasklens.design_lens("spot", start=(lens, view), settings={"free": {}}),
             "free: no setting with the lens of `start`; give it as `free`",
         ),
-        (lambda lens, view: tasklens.design_lens("spot", size=64), "size: only for the photographs of a folder"),
+        (lambda lens, view: tasklens.design_lens("spot", size=64), "size: only for a folder of photographs"),
         (lambda lens, view: replace(view, kernel_size=50), "kernel_size: expected an odd number of pixels, got 50"),
     ],
 )

@@ -248,6 +248,7 @@ def test_a_network_that_gets_used_to_each_lens(here):
         ),
         ((*COMMAND, *SENSOR, "--as-built", "1", "--diffraction"), "--as-built: not with --diffraction"),
         ((*COMMAND, *SENSOR, "--grade", "phone_moulding"), "--grade: only with --as-built COUNT"),
+        ((*COMMAND, *SENSOR, "--wavelengths", "0.5,0.6,0.7"), "wavelengths_um"),
         ((*COMMAND, *SENSOR, "--name", "My-Lenses"), "name = 'My-Lenses'"),
         ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected greater than 0"),
         ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),

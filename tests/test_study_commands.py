@@ -45,7 +45,7 @@ def test_check_finds_a_wrong_folder_and_missing_weights(place, capsys):
     assert "classifiers.other.weights = /nowhere: no such file" in complaint(capsys, "check", "study.yaml")
     images = {"size": 16, "minival": 2, "folder": str(place / "photos")}
     write("study.yaml", dump(parse(changed(tiny_study(), "images", images))))
-    assert "photos: no such folder" in complaint(capsys, "check", "--no-weights", "study.yaml")
+    assert "photos: no such folder" in complaint(capsys, "check", "--no-weight-files", "study.yaml")
 
 
 def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
@@ -145,7 +145,7 @@ def test_an_export_has_what_a_colleague_needs(results, capsys):
         assert names == {f"tiny/{name}" for name in (*paths, "benchmarks/images.tsv", "README.txt")}
         write("study.yaml", archive.read("tiny/study.yaml").decode())
     assert load("study.yaml").name == "tiny"
-    assert study("export", "results/tiny", "--weights", "--output", "all.zip") == 0
+    assert study("export", "results/tiny", "--with-weights", "--output", "all.zip") == 0
     with zipfile.ZipFile("all.zip") as archive:
         weights = "classifiers/reference/small", "restoration/a/nafnet", "tasks/reference/pixels"
         assert set(archive.namelist()) == names | {f"tiny/{name}.safetensors" for name in weights}

@@ -82,7 +82,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     result = json.loads(capsys.readouterr().out)
     assert result["lenses"] == 10 and result["grade"] == "precision_moulding"
     assert (
-        result["yield_by_rms_percent"]["2.0"] >= result["yield_by_rms"]["1.1"]
+        result["yield_by_rms_percent"]["2.0"] >= result["yield_by_rms_percent"]["1.1"]
         and result["median"]["rms_spot_um"] > result["design"]["rms_spot_um"]
     )
     displacements = [error["moved_um"] for error in result["errors"]]

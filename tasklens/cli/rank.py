@@ -112,7 +112,7 @@ def rank(
     def study(screened: ranking.Screened, built: Sequence[str] = ()) -> dict:
         return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, sieve, tolerances, built)
 
-    unread = loading.parse(study(ranking.unread(paths[0])))  # errors come before the lenses are read
+    unread = loading.parse(study(ranking.unread()))  # errors come before the lenses are read
     say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
     with progress_bars():
         screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale)

@@ -235,7 +235,7 @@ def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str
 def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
     """Return the `images` section of a study, and the data set of a user in Python; None for the absent one."""
     if size is not None and not isinstance(images, str | Path):
-        raise InputError("size: only for the photographs of a folder in `images`")
+        raise InputError("size: only for a folder of photographs, `images` (--images)")
     if images is None:
         return None, None
     if not isinstance(images, str | Path):

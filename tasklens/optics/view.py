@@ -37,10 +37,10 @@ class View:
         if not 0 <= self.object_vergence < math.inf:
             raise InputError(
                 f"object_vergence: expected 1 / distance [mm] of an object in front of the lens, or 0 for one at "
-                f"infinity, found {self.object_vergence}"
+                f"infinity, got {self.object_vergence}"
             )
-        if self.kernel_size % 2 != 1:
-            raise InputError(f"kernel_size: expected an odd number of pixels, got {self.kernel_size}")
+        if self.kernel_size not in range(1, 10**4, 2):
+            raise InputError(f"kernel_size: expected an odd number of pixels, got {self.kernel_size!r}")
 
     @property
     def tangents(self) -> Tensor:

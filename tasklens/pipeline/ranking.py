@@ -29,6 +29,7 @@ from tasklens.study.settings import ClassifierSettings, ImageSettings, Spec
 
 ELEMENTS = "lens"  # name of the elements of all lenses in the study
 _SUFFIXES = (".zmx", ".yaml", ".yml")
+_SHIPPED = "config/lenses/phone_3p.yaml"
 _RAYS = 4096  # per field and colour
 _COVERAGE = 0.99  # least part of the sensor's half diagonal that the field in a lens file covers
 _LONGEST = 30  # characters of a name
@@ -70,9 +71,9 @@ def lens_paths(places: Sequence[Path]) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def unread(path: Path) -> Screened:
-    """Return a lens as if it could be used, to check a study before lenses are read."""
-    return Screened({ELEMENTS: {"elements": ELEMENTS, "file": str(path)}}, {ELEMENTS: path.stem}, {ELEMENTS: 0.0})
+def unread() -> Screened:
+    """Return a published lens in place of those to be read, to check a study before they are."""
+    return Screened({ELEMENTS: {"elements": ELEMENTS, "file": _SHIPPED}}, {ELEMENTS: ELEMENTS}, {ELEMENTS: 0.0})
 
 
 def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[Path], scaled: bool) -> Screened:

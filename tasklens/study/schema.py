@@ -18,6 +18,7 @@ def schema() -> dict[str, Any]:
     """
     study = Study.model_json_schema()
     definitions = study.pop("$defs")
+    del definitions["RankingSettings"]
     del study["properties"]["ranking"]  # only `tasklens rank` writes it
     materials = study["properties"]["materials"]
     by_name = {key: materials.pop(key) for key in ("type", "additionalProperties")}

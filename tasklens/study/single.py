@@ -83,6 +83,8 @@ def study(
     given, classified = classifier is not None or network_given, any(lens.classified for lens in result.lenses.values())
     if classified and not given:
         raise InputError(f"method {method}: needs a network: --network NAME --weights FILE, in Python `network`")
+    if method not in TRAINING and any(part.trains_network for lens in result.lenses.values() for part in lens.descents):
+        raise InputError(f"network_learning_rate: only with the methods {' and '.join(TRAINING)}, not {method}")
     if given and not classified:
         raise InputError(f"method {method}: has no network; choose task, joint or end_to_end, or give no network")
     if images is not None and not any(lens.supervised for lens in result.lenses.values()):

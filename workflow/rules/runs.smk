@@ -70,7 +70,7 @@ def check_studies(planned):
             if "images" in names_of_rules:
                 class_folders.check(study.images)
             if networks or study.imported or "design" in names_of_rules:
-                check_in_own_process(study, ["--networks"] if networks else [])
+                check_in_own_process(study, ["--build-networks"] if networks else [])
     except InputError as error:
         sys.exit(f"{error}")
 
@@ -80,7 +80,7 @@ def check_in_own_process(study, options):
     with tempfile.NamedTemporaryFile("w", suffix=".yaml") as file:
         file.write(loading.dump(study))
         file.flush()
-        command = [sys.executable, "-m", "tasklens.cli", "study", "check", file.name, "--no-weights", *options]
+        command = [sys.executable, "-m", "tasklens.cli", "study", "check", file.name, "--no-weight-files", *options]
         if status := subprocess.run(command, stdout=subprocess.DEVNULL).returncode:
             sys.exit(status)
 
