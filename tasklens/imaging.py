@@ -14,9 +14,9 @@ import torch.nn.functional as F
 from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from scipy.fft import next_fast_len
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.first_derivative import FirstDerivative
 from tasklens.sensor import expose, noise
 from tasklens.study.settings import CaptureSettings, SensorSettings
 
@@ -74,12 +74,27 @@ class _Convolution(torch.autograd.Function):
         return captures
 
     @staticmethod
-    @once_differentiable
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Compute the gradients with respect to the spectra of images, their mean, and the PSFs."""
-        images, psf = ctx.saved_tensors
+
         runs, shape, kernels = ctx.arguments
-        at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
+
+        def gradients(gradient: Tensor, images: Tensor, psf: Tensor) -> tuple[Tensor | None, ...]:
+            return _Convolution._gradients(gradient, images, psf, runs, shape, kernels, ctx.needs_input_grad[0])
+
+        return *FirstDerivative.apply(gradients, gradient, *ctx.saved_tensors), None, None, None
+
+    @staticmethod
+    def _gradients(
+        gradient: Tensor,
+        images: Tensor,
+        psf: Tensor,
+        runs: list[_Run],
+        shape: tuple[int, int],
+        kernels: Tensor,
+        needs_images: bool,
+    ) -> tuple[Tensor | None, ...]:
+        at_images = torch.zeros_like(images) if needs_images else None
         at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
         conjugate = images.conj().resolve_conj()
         padded = torch.zeros_like(images[_colours(images)[0]])
@@ -97,7 +112,7 @@ class _Convolution(torch.autograd.Function):
                 for planes in zip(product.unbind(1), conjugate[colours, source].unbind(1), strict=True):
                     total.addcmul_(*planes)
             at_psf[field, colours] += torch.fft.ifft2(total).real[..., : psf.shape[-2], : psf.shape[-1]]
-        return at_images, at_mean, at_psf, None, None, None
+        return at_images, at_mean, at_psf
 
 
 def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[Any, ...]:
@@ -184,6 +199,7 @@ class PsfCamera:
         light = None if capture.sensor is None else illumination
         return cls(psf, capture.outside_window, capture.colour, capture.sensor, light)
 
+    @torch.compiler.disable
     def all_fields(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
 
@@ -202,6 +218,7 @@ class PsfCamera:
         sample = noise(output.transpose(0, 1).shape, generator).transpose(0, 1)
         return self._developed(output, illumination, sample)
 
+    @torch.compiler.disable
     def __call__(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
         """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).
 

@@ -155,6 +155,18 @@ def test_a_state_belongs_to_its_initial_lens(lens, images):
         other.load_state_dict(state)
 
 
+def test_compiled_captures_and_second_derivatives(lens, images):
+    """Compilation leaves the camera out; a second derivative is refused, not zero."""
+    camera = tasklens.Camera(*lens, rays=64)
+    fields = torch.tensor([0, 8])
+    compiled = torch.compile(camera, backend="eager")
+    assert torch.equal(compiled(images[:2], fields), camera(images[:2], fields))
+    curvature = camera.variables["curvature"]
+    (first,) = torch.autograd.grad(camera(images[:2], fields).square().sum(), curvature, create_graph=True)
+    with pytest.raises(tasklens.InputError, match="second derivatives"):
+        torch.autograd.grad(first.sum(), curvature)
+
+
 def test_half_precision_leaves_the_lens_alone(lens, images):
     """Captures have the type of the images; the lens keeps its double precision."""
     camera = tasklens.Camera(*lens, rays=64)

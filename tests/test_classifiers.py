@@ -14,7 +14,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from tasklens.pipeline import checks
-from tasklens.recognition import classifiers, evaluation, folders
+from tasklens.recognition import classifiers, evaluation, folders, networks
 from tasklens.recognition import dataset as data
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
@@ -277,16 +277,16 @@ def test_a_hub_out_of_reach_is_reported_at_once(monkeypatch):
         asked.append(address)
         raise OSError("Name or service not known")
 
-    monkeypatch.setattr(classifiers.socket, "create_connection", refuse)
-    monkeypatch.setattr(classifiers.urllib.request, "getproxies", dict)
-    monkeypatch.setattr(classifiers.huggingface_hub, "try_to_load_from_cache", lambda *_: None)
+    monkeypatch.setattr(networks.socket, "create_connection", refuse)
+    monkeypatch.setattr(networks.urllib.request, "getproxies", dict)
+    monkeypatch.setattr(networks.huggingface_hub, "try_to_load_from_cache", lambda *_: None)
     settings = ClassifierSettings(model="resnet18.a1_in1k", pretrained=True, outputs="imagenet")
     with pytest.raises(InputError, match=r"resnet18\.a1_in1k: .* cannot be reached .*not known.*`weights`") as error:
         classifiers.build(settings, ["n01440764"])
     assert len(asked) == 1 and asked[0][0] in str(error.value)
-    monkeypatch.setattr(classifiers.huggingface_hub, "try_to_load_from_cache", lambda *_: "there")
-    classifiers.check_published("resnet18.a1_in1k")
-    classifiers.check_published("test_resnet")  # has none
+    monkeypatch.setattr(networks.huggingface_hub, "try_to_load_from_cache", lambda *_: "there")
+    networks.check_published("resnet18.a1_in1k")
+    networks.check_published("test_resnet")  # has none
     assert len(asked) == 1
 
 

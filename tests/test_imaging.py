@@ -172,6 +172,16 @@ def test_gradients_are_those_of_the_direct_convolution(render, reference, shape)
         assert (gradient - expected).abs().max() <= 1e-5 * expected.abs().max()
 
 
+@pytest.mark.parametrize("leaf", ["psf", "images"])
+def test_a_second_derivative_is_refused(leaf):
+    """It would be zero where the first derivative does not carry a graph."""
+    psf, images = random_psf(4), random_images(9)
+    tensor = {"psf": psf, "images": images}[leaf].requires_grad_()
+    (first,) = torch.autograd.grad(PsfCamera(psf).all_fields(images).square().sum(), tensor, create_graph=True)
+    with pytest.raises(InputError, match="second derivatives"):
+        torch.autograd.grad(first.sum(), tensor)
+
+
 def test_psnr_is_taken_per_image():
     """An error of 0.1 everywhere is 20 dB, of 0.01 is 40 dB; the mean is over decibels, not over errors."""
     reference = torch.full((2, 3, 8, 8), 0.5)

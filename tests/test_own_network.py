@@ -1,6 +1,8 @@
 """A lens designed in Python for the user's module, images and loss."""
 
 import copy
+from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 import timm
@@ -11,6 +13,7 @@ from torch.nn.functional import cross_entropy, mse_loss
 from torch.utils.data import DataLoader, Subset
 
 import tasklens
+from tasklens.design import supervision
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.single import BASELINES, designs
 from tasklens.design.supervision import loss_at_psf
@@ -18,12 +21,14 @@ from tasklens.design.supervisors import UserTask
 from tasklens.notebook.verdict import verdict
 from tasklens.recognition import classifiers, user_images
 from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.sharp import check_accuracy
 from tasklens.recognition.training import fit
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_tensors
 from tasklens.study.settings import CaptureSettings, TrainingSettings
 
+LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-imaging3.yaml"
 PLATES = {"start": "flat", "batch_size": 4, "rays": 16}
 QUICK = PLATES | {"descents": [{"steps": 2, "pixels": [20, 5]}, {"steps": 2, "pixels": [5, 1]}]}
 SPEC = {"kernel_size": 11}
@@ -119,6 +124,70 @@ def test_joint_design_trains_the_network(images, network):
     weights = mine.state_dict()
     assert all(torch.equal(value, result.trained_weights[name]) for name, value in weights.items())
     assert any(not torch.equal(value, weights[name]) for name, value in network.state_dict().items())
+
+
+def test_joint_design_keeps_frozen_parameters(images, network):
+    """As torch does: what requires no gradient is not trained; if that is everything, joint design is refused."""
+    mine = copy.deepcopy(network)
+    mine[0].requires_grad_(False)
+    settings = PLATES | {"descents": [{"steps": 2, "pixels": [5, 1], "network_learning_rate": 1e-2}]}
+    options = {"images": images, "settings": settings, **SPEC}
+    tasklens.design_lens("joint", ["COC"], network=mine, **options)
+    assert torch.equal(mine[0].weight, network[0].weight) and not torch.equal(mine[-1].weight, network[-1].weight)
+    with pytest.raises(InputError, match="no parameter requires a gradient"):
+        tasklens.design_lens("joint", ["COC"], network=mine.requires_grad_(False), **options)
+
+
+class Views(nn.Module):
+    """A network as in many tutorials: it flattens by `view`, and may wrap its logits."""
+
+    def __init__(self, network: nn.Module, wrapped: bool):
+        super().__init__()
+        self.layers, self.head, self.wrapped = network[:3], network[-1], wrapped
+
+    def forward(self, images: torch.Tensor):
+        features = self.layers(images)
+        logits = self.head(features.view(len(images), 8, -1).mean(-1))
+        return SimpleNamespace(logits=logits) if self.wrapped else logits
+
+
+@pytest.mark.parametrize("wrapped", [False, True])
+def test_networks_with_views_and_with_named_logits(images, network, wrapped):
+    lens, _, _ = tasklens.design_lens(
+        "task", ["COC"], images=images, network=Views(network, wrapped), settings=QUICK, **SPEC
+    )
+    assert lens.curvature.any()
+
+
+@pytest.mark.parametrize(
+    "labels, words",
+    [
+        (torch.tensor([1, 2, 3]), "labels from 0 to 2, numbers of 3 classes, got 1 to 3"),
+        (torch.tensor([True, False, True]), "integers from 0, got torch.bool"),
+        (torch.eye(3, dtype=torch.long), r"integers from 0, got torch.int64 of shape \(3,\)"),
+    ],
+)
+def test_labels_that_are_no_classes_are_refused(images, network, labels, words):
+    """By a design and by a ranking."""
+    dataset = ImageDataset(images.images[:3], labels, images.classes)
+    with pytest.raises(InputError, match=words):
+        tasklens.design_lens("task", ["COC"], images=dataset, network=network, settings=QUICK, **SPEC)
+    with pytest.raises(InputError, match=words):
+        tasklens.rank({"a": tasklens.load_lens(LENS)}, dataset, network)
+
+
+def test_images_are_not_augmented_with_a_loss(images, network, monkeypatch):
+    """Positions and masks would not move with them."""
+
+    def refused(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(supervision, "TrivialAugmentWide", refused)
+    settings = {"descents": {"0": {"steps": 1}}, "batch_size": 2}
+    options = {"images": images, "network": network, "loss": cross_entropy, "start": tasklens.load_lens(LENS)}
+    tasklens.design_lens("end_to_end", settings=settings, **options)
+    with pytest.raises(AssertionError):
+        tasklens.design_lens("end_to_end", settings=settings | {"augment": True}, **options)
 
 
 def test_labels_may_be_tensors(images):

@@ -289,7 +289,8 @@ def test_ranking_in_python_agrees_with_the_command(here):
     result.save("ranking.html", answer=["Mine."])
     assert "Mine." in (here / "ranking.html").read_text()
     pairs = [(torch.rand(3, 32, 32), 0), (torch.rand(3, 32, 32), 1)]
-    assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2
+    with pytest.warns(UserWarning, match="rank: the network recognises .* too few images to tell it from guessing"):
+        assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2
     with pytest.raises(InputError, match="returns a tensor"):
         tasklens.rank(lenses, pairs, torch.nn.Conv2d(3, 2, 3))
     with pytest.raises(InputError, match="images: number 1: expected a pair"):
@@ -345,6 +346,8 @@ class Answers(torch.nn.Module):
     [
         (Answers(lambda images: (images.mean((2, 3)), None)), "returns a tuple; expected a tensor of logits"),
         (Answers(lambda images: {"logits": images}), "returns a dict"),
+        (torch.mean, "expected a torch.nn.Module, got builtin"),
+        (Answers(lambda images: images.tolist().index(3)), "fails for images"),
         (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(7, 2)), r"fails for images \(3, 32, 32\): .*mat1"),
         (torch.nn.Sequential(torch.nn.Conv2d(3, 2, 3), torch.nn.BatchNorm2d(5)), r"fails for images \(3, 32, 32\): "),
         (Answers(lambda images: torch.nan * images.mean((2, 3))), "logits that are not finite"),

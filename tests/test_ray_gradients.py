@@ -9,6 +9,7 @@ from examples import WAVELENGTHS, assert_close, difference, f64, parallel_rays, 
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import linearise, trace
+from tasklens.runtime.errors import InputError
 
 SEEDS = range(4)
 
@@ -50,6 +51,16 @@ def test_forward_and_backward_mode_agree(seed):
     gradient = torch.func.grad(lambda p: image_of(lens, **p))(values)
     _, along = torch.func.jvp(lambda p: image_of(lens, **p), (values,), (refract_jvp,))
     assert_close(along, sum((gradient[k] * refract_jvp[k]).sum() for k in values), 1e-12 * float(along.abs()) + 1e-12)
+
+
+def test_a_second_derivative_is_refused():
+    """By rays too: the first derivative is computed without a graph, so a second one would be zero."""
+    lens = random_lens(0)
+    for name in (*PARAMETERS, "indices"):
+        leaf = value_of(lens, name).clone().requires_grad_()
+        (first,) = torch.autograd.grad(image_of(lens, **{name: leaf}), leaf, create_graph=True)
+        with pytest.raises(InputError, match="second derivatives"):
+            torch.autograd.grad(first.sum(), leaf)
 
 
 def test_linearised_rays_change_as_derivatives_say():

@@ -15,6 +15,7 @@ from tasklens.design.schedule import cosine
 from tasklens.optics.analysis.spots import centroid
 from tasklens.optics.rays import Rays
 from tasklens.recognition.tasks import CLASSIFICATION, Task
+from tasklens.runtime.errors import InputError
 
 _WEIGHT_DECAY = 0.05  # for a network that is trained with a lens
 _FREQUENCIES = (0.125, 0.25)  # a quarter and a half of the Nyquist frequency, for the contrast [cycles per pixel]
@@ -70,7 +71,7 @@ class JointTaskLoss(TaskLoss):
     The batch statistics of its batch norms are those of a micro-batch.
 
     Args:
-        network: network, left in `train()`.
+        network: network, left in `train()`; parameters that require no gradient stay.
         learning_rate: its learning rate at the first step.
         steps: number of steps.
         final: learning rate at the last step, as a fraction; cosine schedule.
@@ -79,7 +80,9 @@ class JointTaskLoss(TaskLoss):
     trained = True
 
     def __init__(self, network: nn.Module, learning_rate: float, steps: int, final: float, task: Task = CLASSIFICATION):
-        super().__init__(network.train().requires_grad_(True), task)
+        if not any(parameter.requires_grad for parameter in network.parameters()):
+            raise InputError("network: no parameter requires a gradient, so that there is nothing to train")
+        super().__init__(network.train(), task)
         self.optimizer = torch.optim.AdamW(param_groups_weight_decay(network, _WEIGHT_DECAY), lr=learning_rate)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))
 

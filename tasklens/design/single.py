@@ -77,7 +77,8 @@ def design_lens(
             {"model": "resnet18", "weights": "resnet.safetensors"}. The images of a timm network are normalised as its
             `pretrained_cfg` says. The methods joint and end_to_end train a module with the lens; all others leave it as
             it is.
-        loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image.
+        loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image. Images are not
+            augmented unless `settings` has `augment`.
         start: file of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
             stay, and limits that it violates are relaxed to its own values.
         free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
@@ -140,6 +141,8 @@ def designs(
     method = method or ("least_squares" if start is None else "spot")
     if loss is not None and network is None:
         raise InputError("loss: only with a `network`; omit it, or give one")
+    if loss is not None:  # labels may be masks or positions, which augmentation would not move
+        settings = {"augment": False, **(settings or {})}
     section, dataset = _images(images, size, held_out)
     classifier, module = (network, None) if isinstance(network, Mapping) else (None, network)
     user = Supervisors(dataset, module, None if loss is None else UserTask(loss))

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.recognition import class_folders
+from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
@@ -177,6 +177,8 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
         raise InputError(
             "images: labels are not numbers of classes; give a `loss` of the network's output and the labels"
         )
+    if task is None:
+        user_images.check_classes(dataset)
     try:
         frozen_network = frozen(network, images.detach())
         answer = frozen_network(images)

@@ -33,7 +33,8 @@ class Camera(nn.Module):
     Its parameters are the free lens variables in dimensionless form, so that one learning rate suits all variables and
     lenses of any size: curvatures times the illuminated radius R of the surface, distances divided by the focal length,
     and coefficients alpha_k R^(k - 1). An Adam step of 1e-3 moves a surface of a phone lens by about a micrometre. If
-    the stop is inside the lens, gradients neglect the change of its radius, which keeps the F-number.
+    the stop is inside the lens, gradients neglect the change of its radius, which keeps the F-number. Weight decay
+    would flatten the lens: give its parameters none.
 
     Args:
         lens: the initial lens.
@@ -118,6 +119,7 @@ class Camera(nn.Module):
 
         return super()._apply(moved, recurse)
 
+    @torch.compiler.disable
     def forward(self, images: Tensor, fields: Tensor | None = None) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W), of the same type.
 
@@ -142,10 +144,12 @@ class Camera(nn.Module):
         pixel_noise = None if self.sensor is None else noise(images.shape, torch.default_generator)
         return self._camera(images)(images, fields.long(), pixel_noise).to(images.dtype)
 
+    @torch.compiler.disable
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
         return self._camera(images).all_fields(images, torch.default_generator).to(images.dtype)
 
+    @torch.compiler.disable
     def penalty(self) -> Tensor:
         """Compute the violation of the lens's limits, as a penalty on a loss: zero for the initial lens.
 

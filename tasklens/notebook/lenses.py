@@ -3,9 +3,11 @@
 import math
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import torch
 from torch import Tensor
 
 from tasklens.materials.catalogues import is_ours
@@ -72,9 +74,10 @@ def lens(
 
     Args:
         surfaces: for each surface, `radius` [mm] (inf for a plane) or `curvature`, `thickness` to the next one [mm],
-            `material` behind it (air if absent), `conic`, coefficients `alpha_2`, `alpha_4` .. of r^2, r^4 ..
-            [mm^(1 - 2j)], `semi_diameter` of its clear aperture [mm], and `stop: True` for one surface. If the last
-            `thickness` is absent, the image plane is placed at best focus.
+            `material` behind it (its name, or nd and Vd as in a patent, such as (1.5445, 55.9); air if absent),
+            `conic`, coefficients `alpha_2`, `alpha_4` .. of r^2, r^4 .. [mm^(1 - 2j)], `semi_diameter` of its clear
+            aperture [mm], and `stop: True` for one surface. If the last `thickness` is absent, the image plane is
+            placed at best focus.
         field_of_view_deg: full angle.
         f_number: focal length / entrance pupil diameter; None: the stop must have a `semi_diameter`.
         wavelengths_um: wavelengths; the middle one is the reference; by default the lines C, D, F, as in a study.
@@ -106,9 +109,11 @@ def lens(
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
     changes = {"field_of_view_deg": field_of_view_deg, **pixels}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
-    if "thickness" in surfaces[-1]:
-        return file.lens, file.view
-    return refocused(file.lens, file.view, _RAYS), file.view
+    if "thickness" not in surfaces[-1]:
+        file = replace(file, lens=refocused(file.lens, file.view, _RAYS))
+    for remark in lens_files.light_remarks(file):
+        warnings.warn(remark, stacklevel=2)
+    return file.lens, file.view
 
 
 def _paths(catalogues: str | Path | Sequence[str | Path]) -> list[Path]:
@@ -167,6 +172,7 @@ def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
     return {"spec": spec_of(view), "figures": figures(lens, view, rays)}
 
 
+@torch.compiler.disable
 def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) -> Rays:
     """Trace rays of all F fields and W wavelengths to the image plane; differentiable in the lens.
 
@@ -185,6 +191,7 @@ def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) 
     return trace_fields(lens, view, sobol_disc(rays, seed=0) if pupil is None else pupil)
 
 
+@torch.compiler.disable
 def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> Tensor:
     """Compute the point spread functions of all F fields and W wavelengths; differentiable in the lens.
 

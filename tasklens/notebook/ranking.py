@@ -1,5 +1,6 @@
 """Ranking of lenses for a network, in notebooks: accuracies on the same photographs, with intervals and groups."""
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from html import escape
@@ -20,6 +21,7 @@ from tasklens.optics.view import View
 from tasklens.recognition import classifiers, evaluation, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.recognition.sharp import check_accuracy
 from tasklens.report import headings
 from tasklens.report import ranking as report
 from tasklens.report.figures import section_svg
@@ -101,8 +103,9 @@ def rank(
         dataset = user_images.of_pairs(images, limit)
     if not lenses or not len(dataset):
         raise InputError("rank: expected lenses and images")
-    if dataset.labels.is_floating_point() or dataset.labels.dim() != 1 or dataset.labels.min() < 0:
-        raise InputError("rank: expected labels that are numbers of classes, from 0")
+    user_images.check_classes(dataset)
+    if not isinstance(network, nn.Module):
+        raise InputError(f"rank: expected a torch.nn.Module, got {type(network).__name__}")
     device = next((parameter.device for parameter in network.parameters()), CPU)
     dataset = replace(dataset, device=device)
     image = dataset.batch(torch.arange(1))[0]
@@ -110,8 +113,10 @@ def rank(
         classifier = classifiers.frozen(classifiers.of_user(network).to(device), image)
         with torch.no_grad():
             answer = classifier(image)
-    except RuntimeError as error:
-        raise InputError(f"rank: the network fails for images {tuple(image.shape[1:])}: {error}") from None
+    except InputError:
+        raise
+    except Exception as error:  # of any layer
+        raise InputError(f"rank: the network fails for images {tuple(image.shape[1:])}: {error}") from error
     if answer.dim() != 2 or answer.shape[1] < max(len(dataset.classes), 2):
         raise InputError(
             f"rank: the network returns a tensor {tuple(answer.shape)} for one image; expected logits of the "
@@ -119,6 +124,10 @@ def rank(
         )
     if not answer.isfinite().all():
         raise InputError("rank: the network returns logits that are not finite")
+    try:
+        check_accuracy(classifier, dataset)
+    except InputError as error:
+        warnings.warn(f"rank: {error}", stacklevel=2)
     sharp = float(100 * evaluation.evaluate(classifier, dataset, CapturePipeline()).correct.double().mean())
     correct = {name: _correct(classifier, dataset, lens, view, rays, name) for name, (lens, view) in lenses.items()}
     ranks = report.ranked(correct)

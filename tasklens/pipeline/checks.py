@@ -65,7 +65,7 @@ def _check_free(study: Study, imported_lenses: Mapping[str, Lens]) -> None:
 
 
 def _check_networks(study: Study, weights: bool) -> None:
-    from tasklens.recognition import classifiers
+    from tasklens.recognition import classifiers, networks
 
     folder = study.images.folder
     classes = [str(k) for k in range(RENDERED_CLASSES)] if folder is None else class_folders.training_classes(folder)
@@ -74,7 +74,7 @@ def _check_networks(study: Study, weights: bool) -> None:
         if weights and classifier.weights is not None:
             classifiers.build(classifier, classes)
         if classifier.pretrained:
-            classifiers.check_published(classifier.model)
+            networks.check_published(classifier.model)
         if classifier.outputs != "classes" and folder is not None:
             classifiers.imagenet_outputs(classes)
     if study.tasks.networks:

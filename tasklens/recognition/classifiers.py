@@ -3,17 +3,13 @@
 import copy
 import difflib
 import re
-import socket
 import sys
-import urllib.parse
-import urllib.request
 from collections.abc import Sequence
 from pathlib import Path
 from pickle import UnpicklingError
 from textwrap import shorten
 from typing import Any, Literal, TypeVar
 
-import huggingface_hub
 import timm
 import torch
 from timm.data import ImageNetInfo
@@ -31,14 +27,14 @@ from tasklens.study import user_code
 from tasklens.study.settings import ClassifierSettings
 
 _Network = TypeVar("_Network", bound=nn.Module)
-_REACH_S = 5.0  # timeout to reach the hub
 _LONGEST = 300  # maximum characters of an error from a weights reader; some are a page long
 
 
 class Classifier(nn.Module):
     """A network with its input normalisation, which is applied after the optics.
 
-    A timm network has its normalisation in its configuration; any other module takes images in [0, 1] unchanged.
+    A timm network has its normalisation in its configuration; any other module takes images in [0, 1] unchanged. The
+    output is a tensor of logits, or has them as its attribute `logits`.
 
     Args:
         outputs: indices of the used outputs, the images' classes first; None: all outputs, in order.
@@ -54,7 +50,10 @@ class Classifier(nn.Module):
         if hasattr(network, "pretrained_cfg"):
             config = timm.data.resolve_model_data_config(network)
         # Channels last makes convolutions train 1.4 to 2 times faster on a CPU, transformers neither faster nor slower.
-        self.network = network.to(memory_format=torch.channels_last)
+        # Other networks may have views that need contiguous memory.
+        is_timm = hasattr(network, "pretrained_cfg")
+        self.memory_format = torch.channels_last if is_timm else torch.contiguous_format
+        self.network = network.to(memory_format=self.memory_format)
         self.register_buffer("mean", torch.tensor(config["mean"])[:, None, None], persistent=False)
         self.register_buffer("std", torch.tensor(config["std"])[:, None, None], persistent=False)
         self.register_buffer("outputs", outputs, persistent=False)
@@ -68,7 +67,8 @@ class Classifier(nn.Module):
         """Compute the logits (B, outputs) of all network outputs for images (B, 3, H, W) in [0, 1]."""
         normalised = (images - self.mean) / self.std
         with half_precision(images.device):
-            logits = self.network(normalised.contiguous(memory_format=torch.channels_last))
+            logits = self.network(normalised.contiguous(memory_format=self.memory_format))
+        logits = getattr(logits, "logits", logits)
         if not isinstance(logits, Tensor):
             raise InputError(f"the network returns a {type(logits).__name__}; expected a tensor of logits")
         return logits.float()
@@ -129,7 +129,7 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
                 "head with `training`, or keep its own with `outputs: imagenet`"
             )
     if pretrained:
-        check_published(settings.model)
+        networks.check_published(settings.model)
     network = networks.create(settings.model, count, settings.arguments, pretrained)
     path = weights or settings.weights
     if path is not None:
@@ -179,33 +179,6 @@ def _unreadable(path: Path, error: Exception) -> str:
     return shorten(text, _LONGEST, placeholder=" ...")
 
 
-def check_published(model: str) -> None:
-    """Check that published weights are in the hub's cache, or that the hub is reachable.
-
-    Without a connection, the hub's library retries for most of a minute, and its error does not name the network.
-
-    Raises:
-        InputError: neither is true; the message names the network.
-    """
-    config = timm.get_pretrained_cfg(model)
-    if config is None or not config.hf_hub_id or urllib.request.getproxies():  # hosted elsewhere, or behind a proxy
-        return
-    files = ("model.safetensors", "pytorch_model.bin")
-    if any(isinstance(huggingface_hub.try_to_load_from_cache(config.hf_hub_id, file), str) for file in files):
-        return
-    address = urllib.parse.urlsplit(huggingface_hub.constants.ENDPOINT)
-    host, port = str(address.hostname), address.port or (80 if address.scheme == "http" else 443)
-    try:
-        if huggingface_hub.constants.HF_HUB_OFFLINE:
-            raise OSError("HF_HUB_OFFLINE is set")
-        socket.create_connection((host, port), timeout=_REACH_S).close()
-    except OSError as error:
-        raise InputError(
-            f"{model}: its published weights are not in the cache, and {host} cannot be reached ({error}); connect to "
-            "it, or name a file in `weights`"
-        ) from error
-
-
 def imagenet_outputs(classes: Sequence[str]) -> Tensor:
     """Return the indices (C,) among ImageNet's 1000 classes of WordNet ids such as n01440764.
 
@@ -233,7 +206,8 @@ def frozen(classifier: _Network, images: Tensor, batch_norm: Literal["stored", "
     network = copy.deepcopy(classifier).eval().requires_grad_(False)
     if batch_norm == "stored":
         fold_batch_norms(network, images[:1])
-        return freeze_batch_norm_2d(network).to(memory_format=torch.channels_last)
+        memory_format = getattr(classifier, "memory_format", torch.preserve_format)
+        return freeze_batch_norm_2d(network).to(memory_format=memory_format)
     for module in network.modules():
         if isinstance(module, _BatchNorm):
             module.train()

@@ -31,12 +31,14 @@ def image_tensor(image: Image) -> Tensor:
         tensor = torch.from_numpy(array)
         image = tensor.movedim(-1, 0) if tensor.dim() == 3 else tensor
     if image.dim() != 3 or image.shape[0] != 3:
-        raise InputError(f"image: expected an array (H, W, 3) or a tensor (3, H, W), got {tuple(image.shape)}")
+        hint = "; repeat a grey one three times" if image.dim() == 2 or 1 in image.shape[:1] else ""
+        raise InputError(f"image: expected an array (H, W, 3) or a tensor (3, H, W), got {tuple(image.shape)}{hint}")
     if image.dtype == torch.uint8:
         return image.float() / 255
     if not image.is_floating_point():
         raise InputError(f"image: expected uint8, uint16 or floats in [0, 1], got {image.dtype}")
     low, high = float(image.detach().min()), float(image.detach().max())
     if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
-        raise InputError(f"image: expected floats in [0, 1], got {low:g} to {high:g}; scale them, or convert to uint8")
+        advice = "scale them, or convert to uint8" if low >= 0 else "normalise in the network, not before the lens"
+        raise InputError(f"image: expected floats in [0, 1], got {low:g} to {high:g}; {advice}")
     return image.float()

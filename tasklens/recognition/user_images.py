@@ -49,6 +49,21 @@ def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
     return ImageDataset(torch.stack(images), numbers, tuple(map(str, names)))
 
 
+def check_classes(dataset: ImageDataset) -> None:
+    """Raise InputError if labels are not numbers of the classes of a data set."""
+    labels = dataset.labels
+    kind = f"{labels.dtype} of shape {tuple(labels.shape[1:])}" if labels.dim() > 1 else f"{labels.dtype}"
+    if labels.dim() != 1 or labels.is_floating_point() or labels.dtype == torch.bool:
+        raise InputError(f"images: expected labels that are numbers of classes, integers from 0, got {kind}")
+    if labels.min() < 0:
+        raise InputError(f"images: expected labels that are numbers of classes, from 0, got {int(labels.min())}")
+    if labels.max() >= len(dataset.classes):
+        raise InputError(
+            f"images: expected labels from 0 to {len(dataset.classes) - 1}, numbers of {len(dataset.classes)} classes, "
+            f"got {int(labels.min())} to {int(labels.max())}"
+        )
+
+
 def _classes(pairs: Any) -> Sequence[str] | None:
     """Return the names of the classes of a data set, or of the data set that it is a part of; None without names."""
     while not hasattr(pairs, "classes") and hasattr(pairs, "dataset"):

@@ -96,7 +96,7 @@ def read(
         else:
             check_stop(source.lens)
             lens_file = derived(source, changes, wavelengths, 1 / distance)
-        return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *_light_remarks(lens_file)))
+        return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *light_remarks(lens_file)))
     except FileError:
         raise
     except InputError as error:
@@ -253,7 +253,7 @@ def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, 
     return (*others[:middle], wavelengths[primary], *others[middle:])
 
 
-def _light_remarks(lens_file: LensFile) -> list[str]:
+def light_remarks(lens_file: LensFile) -> list[str]:
     """Return remarks on marginal rays lost on the axis, and on fields of which the chief ray or no light arrives."""
     view = lens_file.view.in_reference()
     chief = chief_rays(lens_file.lens, view)

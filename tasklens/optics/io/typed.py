@@ -7,7 +7,7 @@ from typing import Any
 import torch
 
 from tasklens.materials.library import Library
-from tasklens.materials.material import AIR, Material
+from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.io.prescription import ORDERS, Prescription, check_order
 from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
@@ -23,10 +23,10 @@ def typed(
     """Return the prescription of a lens from its surfaces.
 
     Args:
-        surfaces: for each surface `radius` or `curvature`, `thickness` to the next one, `material` behind it (name or
-            `Material`; air if absent), `conic`, coefficients `alpha_2`, `alpha_4` .. of r^2, r^4 .. [mm^(1 - 2j)],
-            `semi_diameter` of its clear aperture; `stop` at one surface. Lengths in mm. The last thickness is 0 if
-            absent.
+        surfaces: for each surface `radius` or `curvature`, `thickness` to the next one, `material` behind it (name,
+            `Material`, or nd and Vd; air if absent), `conic`, coefficients `alpha_2`, `alpha_4` .. of r^2, r^4 ..
+            [mm^(1 - 2j)], `semi_diameter` of its clear aperture; `stop` at one surface. Lengths in mm. The last
+            thickness is 0 if absent.
         f_number: focal length / diameter of the entrance pupil; None: the semi-diameter of the stop is its radius.
         library: glasses by name.
         wavelength: wavelength of the F-number [um].
@@ -103,9 +103,12 @@ def _real(surface: Mapping[str, Any], key: str, where: str, default: float = 0.0
     return number
 
 
-def _medium(material: Material | str | None, library: Library) -> Material:
+def _medium(material: Material | str | Sequence[float] | None, library: Library) -> Material:
     if material is None or material == AIR.name:
         return AIR
+    if isinstance(material, tuple | list) and len(material) == 2:
+        nd, vd = (positive(value, "material") for value in material)
+        return model_glass(nd, vd, 0.0)
     if not isinstance(material, str | Material):
-        raise InputError(f"material: expected the name of a glass, or a material, got {material!r}")
+        raise InputError(f"material: expected the name of a glass, nd and Vd, or a material, got {material!r}")
     return library.glass(material) if isinstance(material, str) else material

@@ -11,6 +11,7 @@ from tasklens.materials.material import AIR
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.traced import Inputs, Traced
+from tasklens.runtime.first_derivative import FirstDerivative
 
 _OUTPUTS = (0, 1, 3, 4, 5, 6)  # rows of the image without z, which is zero
 _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `Inputs`
@@ -24,19 +25,6 @@ class _Saved:
         self.traced: Traced
 
 
-class _Call(torch.autograd.Function):
-    """Call a function of tensors: `torch.func` wraps the arguments of derivatives, but not those of a Function."""
-
-    @staticmethod
-    def forward(function, *arguments):
-        outputs = function(*arguments)
-        return tuple(outputs) if isinstance(outputs, list) else outputs
-
-    @staticmethod
-    def setup_context(ctx, inputs, output):
-        pass
-
-
 class _Trace(torch.autograd.Function):
     """Trace of `Inputs` to the image plane: x, y, l, m, n and path, each (..., W, N)."""
 
@@ -48,18 +36,19 @@ class _Trace(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx, inputs, output):
         ctx.notes = inputs[0]
+        ctx.save_for_backward(*inputs[1:])
         ctx.set_materialize_grads(False)
 
     @staticmethod
-    @torch.autograd.function.once_differentiable
     def backward(ctx, *gradients):
-        return None, *_Call.apply(
-            lambda *g: ctx.notes.traced.reverse(g, _OUTPUTS, ctx.needs_input_grad[1:]), *gradients
-        )
+        def reverse(*arguments):
+            return ctx.notes.traced.reverse(arguments[: len(gradients)], _OUTPUTS, ctx.needs_input_grad[1:])
+
+        return None, *FirstDerivative.apply(reverse, *gradients, *ctx.saved_tensors)
 
     @staticmethod
     def jvp(ctx, _, *changes):
-        return _Call.apply(lambda *along: ctx.notes.traced.image_change(along, _OUTPUTS), *changes)
+        return FirstDerivative.apply(lambda *along: ctx.notes.traced.image_change(along, _OUTPUTS), *changes)
 
 
 def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
