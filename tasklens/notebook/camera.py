@@ -30,11 +30,11 @@ _ROUNDING = 1e-3  # tolerance of images in [0, 1], for augmented ones
 class Camera(nn.Module):
     """A camera for any network: captures of images through a lens, differentiable in the lens.
 
-    Its parameters are the free lens variables in dimensionless form, so that one learning rate suits all variables and
-    lenses of any size: curvatures times the illuminated radius R of the surface, distances divided by the focal length,
-    and coefficients alpha_k R^(k - 1). An Adam step of 1e-3 moves a surface of a phone lens by about a micrometre. If
-    the stop is inside the lens, gradients neglect the change of its radius, which keeps the F-number. Weight decay
-    would flatten the lens: give its parameters none.
+    Its parameters are changes of the free lens variables in dimensionless form, so that one learning rate suits all
+    variables and lenses of any size: curvatures times the illuminated radius R of the surface, distances divided by the
+    focal length, and coefficients alpha_k R^(k - 1). An Adam step of 1e-3 moves a surface of a phone lens by about a
+    micrometre; weight decay draws the lens back to the initial one. If the stop is inside the lens, gradients neglect
+    the change of its radius, which keeps the F-number.
 
     Args:
         lens: the initial lens.
@@ -84,7 +84,7 @@ class Camera(nn.Module):
             if surfaces := free_surfaces.get(name):
                 self._scales[name] = scales.get(name, torch.ones_like(values))
                 self._free[name] = torch.tensor([surface in surfaces for surface in refracting])
-                self.variables[name] = nn.Parameter(values * self._scales[name])
+                self.variables[name] = nn.Parameter(torch.zeros_like(values))
         numbers = [*self._variables.values().values(), *self._scales.values(), *self._free.values()]
         self._start = torch.cat([values.detach().double().flatten() for values in numbers])
 
@@ -93,8 +93,8 @@ class Camera(nn.Module):
         """The current lens, differentiable in the parameters."""
         initial, values = self._variables.values(), {}
         for name, parameter in self.variables.items():
-            value = parameter.to("cpu", torch.float64) / self._scales[name]
-            values[name] = torch.where(self._free[name], value, initial[name])
+            change = parameter.to("cpu", torch.float64) / self._scales[name]
+            values[name] = initial[name] + torch.where(self._free[name], change, 0.0)
         return self._variables.assemble(values)
 
     def get_extra_state(self) -> Tensor:
