@@ -176,6 +176,13 @@ def test_labels_that_are_no_classes_are_refused(images, network, labels, words):
         tasklens.rank({"a": tasklens.load_lens(LENS)}, dataset, network)
 
 
+def test_labels_may_be_of_any_type_of_integer(images):
+    """As numpy's, of which torch's losses take only some."""
+    labels = images.labels.numpy().astype("int16")
+    dataset = user_images.of_pairs(list(zip(images.images, labels, strict=True)))
+    assert dataset.labels.dtype == torch.int64 and torch.equal(dataset.labels, images.labels)
+
+
 def test_images_are_not_augmented_with_a_loss(images, network, monkeypatch):
     """Positions and masks would not move with them."""
 
@@ -201,7 +208,7 @@ def test_labels_may_be_tensors(images):
     options = {"images": labelled, "network": small_network(0), "settings": QUICK, **SPEC}
     lens, _, _ = tasklens.design_lens("task", ["COC"], loss=distance, **options)
     assert lens.curvature.any()
-    with pytest.raises(InputError, match="labels are not numbers of classes; give a `loss`"):
+    with pytest.raises(InputError, match="a design takes others with a `loss`"):
         tasklens.design_lens("task", ["COC"], **options)
     with pytest.raises(InputError, match="loss: expected a tensor"):
         tasklens.design_lens("task", ["COC"], loss=lambda answer, target: 0.5, **options)

@@ -61,6 +61,13 @@ def test_a_second_derivative_is_refused():
         (first,) = torch.autograd.grad(image_of(lens, **{name: leaf}), leaf, create_graph=True)
         with pytest.raises(InputError, match="second derivatives"):
             torch.autograd.grad(first.sum(), leaf)
+    value, along = lens.curvature, torch.ones_like(lens.curvature)
+
+    def slope(curvature):
+        return torch.func.jvp(lambda v: image_of(lens, curvature=v), (curvature,), (along,))[1]
+
+    with pytest.raises(InputError, match="second derivatives"):
+        torch.func.jvp(slope, (value,), (along,))
 
 
 def test_linearised_rays_change_as_derivatives_say():

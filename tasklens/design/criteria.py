@@ -15,7 +15,6 @@ from tasklens.design.schedule import cosine
 from tasklens.optics.analysis.spots import centroid
 from tasklens.optics.rays import Rays
 from tasklens.recognition.tasks import CLASSIFICATION, Task
-from tasklens.runtime.errors import InputError
 
 _WEIGHT_DECAY = 0.05  # for a network that is trained with a lens
 _FREQUENCIES = (0.125, 0.25)  # a quarter and a half of the Nyquist frequency, for the contrast [cycles per pixel]
@@ -80,8 +79,6 @@ class JointTaskLoss(TaskLoss):
     trained = True
 
     def __init__(self, network: nn.Module, learning_rate: float, steps: int, final: float, task: Task = CLASSIFICATION):
-        if not any(parameter.requires_grad for parameter in network.parameters()):
-            raise InputError("network: no parameter requires a gradient, so that there is nothing to train")
         super().__init__(network.train(), task)
         self.optimizer = torch.optim.AdamW(param_groups_weight_decay(network, _WEIGHT_DECAY), lr=learning_rate)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))

@@ -117,6 +117,8 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
         torch.manual_seed(0)
         network = classifiers.build(settings, classes)
     if user.images is not None:
+        if classified and user.task is None:
+            user_images.check_classes(user.images)
         images = replace(user.images, device=device)
     else:
         images = dataset.training_images(study.images, folder / "images.npy", device=device)
@@ -127,6 +129,11 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     elif user.network is not None:
         network = classifiers.copied(network)
     network = network.to(device)
+    trained = any(part.trains_network for entry in entries for part in entry.descents)
+    if trained and not any(parameter.requires_grad for parameter in network.parameters()):
+        raise InputError(
+            "network: no parameter requires a gradient, so there is nothing to train; call its requires_grad_(True)"
+        )
     if user.network is not None:
         _check(network, images, user.task)
     if isinstance(user.task, UserTask):
@@ -173,12 +180,6 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
 
     images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
     images.requires_grad_()
-    if task is None and not dataset.classes:
-        raise InputError(
-            "images: labels are not numbers of classes; give a `loss` of the network's output and the labels"
-        )
-    if task is None:
-        user_images.check_classes(dataset)
     try:
         frozen_network = frozen(network, images.detach())
         answer = frozen_network(images)

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from tasklens.study.settings import SensorSettings
 
 
+_FORMAT = 2.0  # of the state: parameters are changes
 _SAME = 1e-6  # relative difference of numbers of the same lens, computed on two machines
 _ROUNDING = 1e-3  # tolerance of images in [0, 1], for augmented ones
 
@@ -86,6 +87,7 @@ class Camera(nn.Module):
                 self._free[name] = torch.tensor([surface in surfaces for surface in refracting])
                 self.variables[name] = nn.Parameter(torch.zeros_like(values))
         numbers = [*self._variables.values().values(), *self._scales.values(), *self._free.values()]
+        numbers = [*numbers, torch.tensor([_FORMAT])]  # a state of parameters with another meaning does not fit
         self._start = torch.cat([values.detach().double().flatten() for values in numbers])
 
     @property

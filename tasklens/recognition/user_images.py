@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from torch import Tensor
 from torch.utils.data import DataLoader
 
 from tasklens.recognition import class_folders, folders
@@ -33,7 +34,7 @@ def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
         try:
             image, label = pair
             images.append((255 * image_tensor(image)).round().byte())
-            labels.append(torch.as_tensor(label))
+            labels.append(_label(label))
         except (InputError, TypeError, ValueError, RuntimeError) as error:
             raise InputError(f"images: number {number}: expected a pair (image, label): {error}") from None
     if not images:
@@ -49,12 +50,22 @@ def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
     return ImageDataset(torch.stack(images), numbers, tuple(map(str, names)))
 
 
+def _label(label: Any) -> Tensor:
+    """Return a label as a tensor; a whole number as int64, of whatever type it is."""
+    tensor = torch.as_tensor(label)
+    is_whole = tensor.dim() == 0 and not tensor.is_floating_point() and tensor.dtype != torch.bool
+    return tensor.long() if is_whole else tensor
+
+
 def check_classes(dataset: ImageDataset) -> None:
     """Raise InputError if labels are not numbers of the classes of a data set."""
     labels = dataset.labels
     kind = f"{labels.dtype} of shape {tuple(labels.shape[1:])}" if labels.dim() > 1 else f"{labels.dtype}"
     if labels.dim() != 1 or labels.is_floating_point() or labels.dtype == torch.bool:
-        raise InputError(f"images: expected labels that are numbers of classes, integers from 0, got {kind}")
+        raise InputError(
+            f"images: expected labels that are numbers of classes, integers from 0, got {kind}; a design takes others "
+            "with a `loss`"
+        )
     if labels.min() < 0:
         raise InputError(f"images: expected labels that are numbers of classes, from 0, got {int(labels.min())}")
     if labels.max() >= len(dataset.classes):

@@ -8,6 +8,8 @@ from torch import Tensor
 
 from tasklens.runtime.errors import InputError
 
+_REFUSED = "second derivatives of rays, PSFs and captures are not available; take differences of first ones"
+
 
 class FirstDerivative(torch.autograd.Function):
     """Call a function that computes a derivative, and has none itself: a second derivative raises InputError.
@@ -29,4 +31,9 @@ class FirstDerivative(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> Any:
         """Raise InputError."""
-        raise InputError("second derivatives of rays, PSFs and captures are not available; take differences of first")
+        raise InputError(_REFUSED)
+
+    @staticmethod
+    def jvp(ctx: Any, *changes: Tensor) -> Any:
+        """Raise InputError."""
+        raise InputError(_REFUSED)

@@ -37,6 +37,7 @@ class _Trace(torch.autograd.Function):
     def setup_context(ctx, inputs, output):
         ctx.notes = inputs[0]
         ctx.save_for_backward(*inputs[1:])
+        ctx.save_for_forward(*inputs[1:])
         ctx.set_materialize_grads(False)
 
     @staticmethod
@@ -48,7 +49,10 @@ class _Trace(torch.autograd.Function):
 
     @staticmethod
     def jvp(ctx, _, *changes):
-        return FirstDerivative.apply(lambda *along: ctx.notes.traced.image_change(along, _OUTPUTS), *changes)
+        def change(*arguments):
+            return ctx.notes.traced.image_change(arguments[: len(changes)], _OUTPUTS)
+
+        return FirstDerivative.apply(change, *changes, *ctx.saved_tensors)
 
 
 def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
