@@ -33,9 +33,8 @@ def descend(start, view, network, batches, learning_rate=4e-3, coarsest=20.0, ra
             alpha=torch.cat([start.alpha[:1], torch.cat([start.alpha[1:, :1], alpha], 1)]),
         )
         pixels = coarsest ** max(0.0, 1 - step / (0.8 * len(batches)))
-        psf = tasklens.psf(
-            lens, replace(view, pixel_pitch_um=pixels * view.pixel_pitch_um), rays
-        )  # (field, colour, y, x)
+        coarse = replace(view, pixel_pitch_um=pixels * view.pixel_pitch_um)
+        psf = tasklens.psf(lens, coarse, rays)  # (field, colour, y, x)
         captures = PsfCamera(psf.float()).all_fields(images)  # (field, image, colour, y, x)
         loss = cross_entropy(network(captures.flatten(0, 1)), labels.repeat(len(captures)))
         yield lens.detached(), loss.item()

@@ -249,7 +249,6 @@ def test_a_network_that_gets_used_to_each_lens(here):
         ((*COMMAND, *SENSOR, "--as-built", "1", "--diffraction"), "--as-built: not with --diffraction"),
         ((*COMMAND, *SENSOR, "--grade", "phone_moulding"), "--grade: only with --as-built COUNT"),
         ((*COMMAND, *SENSOR, "--wavelengths", "0.5,0.6,0.7"), "wavelengths_um"),
-        ((*COMMAND, *SENSOR, "--name", "My-Lenses"), "name = 'My-Lenses'"),
         ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected greater than 0"),
         ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),
     ],
@@ -259,9 +258,15 @@ def test_mistakes_are_one_line(here, capsys, arguments, words):
     assert words in capsys.readouterr().err.splitlines()[-1]
 
 
-def test_a_wrong_name_is_refused_before_lenses_are_read(here, capsys):
+def test_a_wrong_name_is_refused_before_lenses_are_read(here, capsys, monkeypatch):
+    def unexpected(*_):
+        raise AssertionError("lenses are read")
+
+    monkeypatch.setattr(pipeline, "screen", unexpected)
     assert main([*COMMAND, *SENSOR, "--name", "My-Lenses"]) == 2
-    assert "reading lenses" not in capsys.readouterr().err
+    assert "name = 'My-Lenses'" in capsys.readouterr().err.splitlines()[-1]
+    with pytest.raises(AssertionError, match="lenses are read"):
+        main([*COMMAND, *SENSOR])
 
 
 def test_a_network_that_recognises_nothing_ranks_nothing(here, capsys):

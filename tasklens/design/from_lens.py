@@ -39,7 +39,6 @@ _LENGTHS = (  # limits that are lengths
     "min_back_focus",
     "max_track",
 )
-_KEYWORDS = {"free": "give it as `free` (--free)"}  # that replace settings
 _SPOT = {
     "descents": [
         {
@@ -90,7 +89,8 @@ def design(
         raise InputError("method: least_squares starts from random lenses; with `start` choose another method")
     for key in ("free", "keep_apertures", "start"):
         if key in settings:
-            raise InputError(f"{key}: no setting with the lens of `start`; " + _KEYWORDS.get(key, "omit it"))
+            advice = "give it as `free` (--free)" if key == "free" else "omit it"
+            raise InputError(f"{key}: no setting with the lens of `start`; {advice}")
     try:
         given = Constraints.model_validate(constraints)
     except ValidationError as error:

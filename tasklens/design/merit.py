@@ -59,9 +59,8 @@ class Merit:
         field = corner_weight**heights
         self.of_field = (field / field.sum() / len(view.wavelengths_um))[:, None, None]
         self.keep(torch.ones(len(heights), len(view.wavelengths_um), len(self.weight), dtype=torch.bool))
-        self.rays = (
-            2 * len(heights) * len(view.wavelengths_um) * len(self.weight)
-        )  # number of ray residuals, then limits
+        # Number of ray residuals; those of limits follow.
+        self.rays = 2 * len(heights) * len(view.wavelengths_um) * len(self.weight)
         self.per_mm, self.angle_weight = per_mm, angle_weight
         self.launched: tuple[float, Rays] | None = None  # radius of the stop, and rays
 

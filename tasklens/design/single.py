@@ -245,12 +245,8 @@ def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, An
         dataset = user_images.of_pairs(images, _IMAGES)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
-    return {
-        "folder": str(images),
-        "size": _SIZE if size is None else size,
-        "train": _train(Path(images), held_out),
-        "minival": 2,
-    }, None
+    side, count = _SIZE if size is None else size, _train(Path(images), held_out)
+    return {"folder": str(images), "size": side, "train": count, "minival": 2}, None
 
 
 def _train(folder: Path, held_out: bool) -> int:

@@ -21,7 +21,7 @@ from tasklens.optics.view import View
 from tasklens.recognition import classifiers, evaluation, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.recognition.sharp import check_accuracy
+from tasklens.recognition.sharp import better_than_guessing
 from tasklens.report import headings
 from tasklens.report import ranking as report
 from tasklens.report.figures import section_svg
@@ -124,11 +124,11 @@ def rank(
         )
     if not answer.isfinite().all():
         raise InputError("rank: the network returns logits that are not finite")
+    sharp = float(evaluation.evaluate(classifier, dataset, CapturePipeline()).correct.double().mean())
     try:
-        check_accuracy(classifier, dataset)
+        better_than_guessing(sharp, len(dataset), answer.shape[1])
     except InputError as error:
         warnings.warn(f"rank: {error}", stacklevel=2)
-    sharp = float(100 * evaluation.evaluate(classifier, dataset, CapturePipeline()).correct.double().mean())
     correct = {name: _correct(classifier, dataset, lens, view, rays, name) for name, (lens, view) in lenses.items()}
     ranks = report.ranked(correct)
     rows, drawings = [], {}
@@ -137,7 +137,7 @@ def rank(
         field_of_view = 2 * degrees(atan(float(view.radii.max()) / view.efl))
         rows.append(report.row(place, place.lens, figures(lens, view, rays), field_of_view))
         drawings[place.lens] = section_svg(lens.detached(), view)
-    return Ranking(pandas.DataFrame(rows), ranks, correct, drawings, sharp)
+    return Ranking(pandas.DataFrame(rows), ranks, correct, drawings, 100 * sharp)
 
 
 def _correct(

@@ -44,12 +44,12 @@ class Rays:
     @property
     def valid(self) -> Tensor:
         """True for rays that are not lost."""
-        return self.status == int(RayStatus.OK)
+        return self.status == RayStatus.OK
 
     @property
     def vignetted(self) -> Tensor:
         """True for rays that met a surface outside its clear aperture."""
-        return self.status == int(RayStatus.VIGNETTED)
+        return self.status == RayStatus.VIGNETTED
 
 
 def describe_loss(rays: Rays, lost: Tensor) -> str:

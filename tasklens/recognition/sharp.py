@@ -29,10 +29,15 @@ def check_accuracy(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -
         logits = network(images)
         outputs = logits.shape[-1]
         correct.append(logits.argmax(-1) == labels)
-    accuracy, chance, count = float(torch.cat(correct).double().mean()), 1 / outputs, len(dataset)
-    text = f"the network recognises {accuracy:.1%} of {count} sharp images (guessing: {chance:.1%})"
+    return better_than_guessing(float(torch.cat(correct).double().mean()), len(dataset), outputs)
+
+
+def better_than_guessing(accuracy: float, count: int, outputs: int) -> str:
+    """Return a sentence with an accuracy on `count` sharp images; raises InputError as `check_accuracy` does."""
     if outputs < 2:
         raise InputError("the network has one output; expected one for each of at least two classes")
+    chance = 1 / outputs
+    text = f"the network recognises {accuracy:.1%} of {count} sharp images (guessing: {chance:.1%})"
     margin = _DEVIATIONS * math.sqrt(chance * (1 - chance) / count)
     if chance + margin >= 1:
         raise InputError(f"{text}: too few images to tell it from guessing; give more")

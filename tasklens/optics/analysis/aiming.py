@@ -59,7 +59,7 @@ def aim(
     if differentiable:
         at = rays_at_stop(lens, rays_from_object(point, tangents[:, None, None], vergence), indices)
         error = torch.stack([at.x, at.y], -1) - pupil * lens.semi_diameter[lens.stop]
-        aimed = ((status == int(RayStatus.OK)) & at.valid)[..., None]
+        aimed = ((status == RayStatus.OK) & at.valid)[..., None]
         point = point - torch.where(aimed, (slope @ error[..., None])[..., 0], 0.0)
     return point, status, lost_at
 
@@ -92,7 +92,7 @@ class _Solve(torch.autograd.Function):
         if differentiable:
             along, curved = tangents[:, None, None], stop_is_curved(lens)
             _, derivative, _ = points_at_stop(lens, point, along, vergence, indices, curved)
-            slope = torch.where((status == int(RayStatus.OK))[..., None, None], inverse(derivative), 0.0)
+            slope = torch.where((status == RayStatus.OK)[..., None, None], inverse(derivative), 0.0)
         return point, slope, status, lost_at
 
     @staticmethod

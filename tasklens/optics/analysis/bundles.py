@@ -95,7 +95,7 @@ def _fit(solution: Solution, coarse: Tensor, pupil: Tensor, size: tuple[int, int
         (F, W, N, 2) launch points at `pupil`, (F, W, N, 2, 2) their derivatives by the pupil point.
     """
     fields, colours, _ = size
-    aimed = (solution.status == int(RayStatus.OK)).reshape(fields * colours, -1, 1).double()
+    aimed = (solution.status == RayStatus.OK).reshape(fields * colours, -1, 1).double()
     values = solution.point.reshape(fields * colours, -1, 2)
     coefficients = torch.linalg.lstsq(aimed * _powers(coarse)[0], aimed * values).solution
     point, *slopes = ((terms @ coefficients).reshape(*size, 2) for terms in _powers(pupil))
