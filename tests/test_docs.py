@@ -68,6 +68,7 @@ QUICK = {  # options that make a command quick, by the beginning of the command
     "tasklens rank catalogue --images photographs --network resnet18": f"{SMALL} --photographs 20 --scale",
     "tasklens design --method task": f"{SMALL} {DESCENT} --elements COC --set start=flat",
     "tasklens design --start my.zmx --method task": f"{SMALL} {DESCENT}",
+    "tasklens design --start my.zmx --method contrast": "--set descents.0.steps=2 --limit max_track=70 --force",
     "tasklens design --start": "--set descents.0.steps=2 --force",
     "tasklens lens tolerance": "--lenses 10",
     "tasklens lens analyse": "--rays 64",
