@@ -16,7 +16,7 @@ from snakemake.settings.types import ConfigSettings, OutputSettings, Quietness, 
 from snakemake.workflow import Workflow
 
 from tasklens.runtime import job
-from tasklens.study import claims, names
+from tasklens.study import claims, names, tables
 from tasklens.study.loading import at_points, parse
 from tasklens.study.study import TABLES, Study
 
@@ -109,7 +109,7 @@ def wildcards_of(name: str, study: Study) -> Iterator[dict]:
         "lens": [names.SHARP, *lenses] if measures else lenses,
         "classifier": study.classifiers,
         "measured_name": [*study.classifiers, *map(names.restored, study.classifiers)],
-        "table": TABLES,
+        "table": [table for table in TABLES if tables.table(study, table).lenses],
         "ablation": study.ablations,
         "elements": claims.claims_by_elements(study),
         "task": study.tasks.networks,

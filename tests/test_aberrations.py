@@ -8,7 +8,7 @@ import torch
 from examples import WAVELENGTHS, difference, f64, make_lens, random_lens
 
 from tasklens.optics.analysis.aberrations import SeidelSums, field_curvature, seidel_sums
-from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, powers_and_spaces
+from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, powers_and_thicknesses
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_rays, spot_diagram, trace_fields
 from tasklens.optics.lens import Lens
@@ -148,7 +148,7 @@ def test_colour_sums_are_those_of_close_wavelengths(seed, stop):
     heights = []
     for wavelength in (min(wavelengths), max(wavelengths)):
         indices = lens.refractive_indices((wavelength,))[:, 0]
-        y, angles = paraxial_ray(*powers_and_spaces(lens, indices), *torch.stack([marginal, chief], -1))
+        y, angles = paraxial_ray(*powers_and_thicknesses(lens, indices), *torch.stack([marginal, chief], -1))
         heights.append(y[-1] + angles[-1] * lens.thickness[-1])
     difference = heights[0] - heights[1]
     torch.testing.assert_close(difference, torch.stack([axial, lateral]) / last_angle(lens), rtol=1e-3, atol=0)

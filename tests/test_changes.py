@@ -103,6 +103,18 @@ def test_changes_are_those_of_the_values_alone():
     assert gone == [Change("a.b", {"c": 1}, None)] and str(gone[0]) == "a.b: removed"
 
 
+def test_settings_of_another_text_need_consent(tmp_path):
+    """Snakemake compares texts, and would run the network again."""
+    before = changed(base(), "classifiers.small.arguments", {"in_chans": 3, "drop_rate": 0})
+    after = changed(base(), "classifiers.small.arguments", {"drop_rate": 0, "in_chans": 3})
+    write("results/tiny/study.yaml", dump(parse(before)))
+    old = jobs_of(parse(before))
+    jobs = {label: replace(job, made_with=old[label].settings) for label, job in jobs_of(parse(after)).items()}
+    jobs = {label: job for label, job in jobs.items() if job.rule == "reference"}
+    (_, line, *_) = refusal_lines(overwritten(parse(after), jobs), tmp_path)
+    assert line == "  values in another order or format: 1 classifier again"
+
+
 def test_a_changed_value_overwrites_what_reads_it(find_overwrites, tmp_path):
     """F/2 instead of F/2.8: both lenses and their measurements; networks of sharp images stay."""
     after = changed(base(), "spec.f_number", 2.0)
@@ -198,7 +210,7 @@ def test_changed_code_needs_consent(tmp_path):
     jobs[label] = replace(jobs[label], made_by="old")
     (_, line, _, take, _) = refusal_lines(overwritten(study, jobs), tmp_path)
     assert line == "  changed code of TaskLens: 1 lens, 3 classifiers again"
-    assert "in this and every later run:  --rerun-triggers mtime" in take
+    assert take.endswith("Or take them for results of the present code:  the same command with --touch")
     write("results/tiny/study.yaml", dump(study))
     after = parse(changed(base(), "fine_tuning.learning_rate", 5e-3))
     jobs |= {
@@ -207,7 +219,7 @@ def test_changed_code_needs_consent(tmp_path):
         if job.rule == "fine_tune"
     }
     (_, first, second, *ways) = refusal_lines(overwritten(after, jobs), tmp_path)
-    assert not any("--rerun-triggers" in way for way in ways)  # the results have other settings
+    assert not any("--touch" in way for way in ways)  # the results have other settings
     assert first.endswith("6 classifiers again") and second == "  changed code of TaskLens: 1 lens again"
 
 

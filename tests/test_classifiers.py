@@ -269,6 +269,31 @@ def test_batch_norms_of_a_frozen_network_by_the_batch():
     assert all(torch.equal(v, before[k]) for k, v in state.items() if "num_batches" not in k)
 
 
+class WithoutGradient(nn.Module):
+    """A wrapper for inference."""
+
+    def __init__(self, network: nn.Module):
+        super().__init__()
+        self.network = network
+
+    def forward(self, images):
+        with torch.no_grad():
+            return self.network(images)
+
+
+def test_a_frozen_copy_of_a_network_for_inference_judges_alike():
+    """Without a graph its batch norms are not folded."""
+    network = WithoutGradient(trained_network(0)).eval()
+    images, _ = random_images(12, 16, 3, seed=1).batch(torch.arange(12))
+    torch.testing.assert_close(classifiers.frozen(network, images)(images), network(images), rtol=1e-5, atol=1e-5)
+
+
+def test_a_batch_norm_without_statistics_cannot_be_frozen():
+    network = nn.Sequential(nn.Conv2d(3, 4, 1), nn.BatchNorm2d(4, track_running_stats=False))
+    with pytest.raises(InputError, match="without stored statistics: its answers depend on the batch"):
+        classifiers.frozen(network, torch.zeros(1, 3, 8, 8))
+
+
 def test_a_hub_out_of_reach_is_reported_at_once(monkeypatch):
     """At once, without a minute of retries; with cached weights the hub is not contacted."""
     asked = []

@@ -265,6 +265,17 @@ def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
     assert not [path for path in files_in(tmp_path) if path.name.startswith(".")]
 
 
+def test_rendered_images_replace_those_of_a_killed_conversion(tmp_path):
+    """A study of a folder was killed, and then had no folder."""
+    counts = {"size": 16, "train": 12, "minival": 10, "test": 10}
+    rendered = make_splits(tmp_path, ImageSettings(**counts))
+    for path, _ in paths_in(tmp_path).values():
+        numpy.save(path.with_name(f".{path.name}"), numpy.zeros(1))
+    again = make_splits(tmp_path, ImageSettings(**counts))
+    assert all(torch.equal(again[split].images, rendered[split].images) for split in SPLITS)
+    assert not [path for path in files_in(tmp_path) if path.name.startswith(".")]
+
+
 def test_a_folder_is_known_by_its_digest(tmp_path):
     """A renamed, removed or changed image changes the digest, also behind a link."""
     folder = tmp_path / "linked"

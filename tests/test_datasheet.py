@@ -14,6 +14,7 @@ from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.tail import tail
 from tasklens.optics.analysis.wavefront import wavefront
 from tasklens.optics.analysis.zernike import rms_wavefront_error
 from tasklens.optics.io import prescription
@@ -108,6 +109,16 @@ def test_a_lost_field_has_no_good_figure():
     mtf = [name for name in values if name.startswith("mtf_")]
     for name in ("valid_fraction", "energy_in_window", "relative_illumination", *mtf):
         assert values[name][0] > 0 and values[name][1] == 0, name
+
+
+def test_the_light_in_the_window_of_a_field_whose_chief_ray_an_aperture_stops():
+    """As in its PSF and its tail, whose windows are about the chief ray through open apertures."""
+    lens = cooke_triplet(semi_diameter=f64([4.0, *[math.inf] * 3, 4.0, *[math.inf] * 4]))
+    view = View(f64([[0.0, 0.0], [0.0, 18.0]]), 50.0, (0.5876,), 10.0, 101)
+    values, (axis, corner) = figures(lens, view, 256), tail(lens, view, 256)[0]
+    assert values["energy_in_window"] == pytest.approx([1 - row["energy_outside_window"] for row in (axis, corner)])
+    assert math.isnan(values["rms_chief_ray_um"][1]) and 0 < values["valid_fraction"][1] < 0.5
+    assert values["energy_in_window"][1] > 0.9
 
 
 def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, lens_figures, tmp_path):

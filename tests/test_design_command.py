@@ -12,10 +12,11 @@ from examples import random_images, write_photographs
 from safetensors.torch import load_file, save_file
 
 from tasklens.cli.app import main
+from tasklens.design.single import unused_images
 from tasklens.optics.io import lens_files
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
-from tasklens.runtime.files import write_tensors
+from tasklens.runtime.files import FileError, write_tensors
 from tasklens.study import single
 from tasklens.study.settings import TrainingSettings
 
@@ -120,6 +121,16 @@ def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys
     assert before.keys() == trained.keys() and any(not torch.equal(before[name], trained[name]) for name in before)
 
 
+def test_a_verdict_is_on_the_classes_of_the_design(tmp_path):
+    """Labels are numbers of classes; without a folder they would be those of other classes."""
+    write_photographs(tmp_path / "train", random_images(30, 16, 3, seed=0), ("a", "b", "c"))
+    write_photographs(tmp_path / "test", random_images(30, 16, 2, seed=1), ("b", "c"))
+    with pytest.raises(FileError, match="train and test have different classes: a"):
+        unused_images(tmp_path, 16)
+    write_photographs(tmp_path / "test", random_images(30, 16, 3, seed=2), ("a", "b", "c"))
+    assert unused_images(tmp_path, 16).classes == ("a", "b", "c")
+
+
 def test_a_network_that_recognises_nothing_designs_nothing(photographs, capsys):
     """This network always gives the same answer; no file is written."""
     weights = {
@@ -183,6 +194,7 @@ MISTAKES = [
     (("--catalogue", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
     (("--network", "test_resnet", "--weights", "words.pth"), "method least_squares: has no network; choose task"),
     (("--images", "photographs", "--size", "32"), "method least_squares: has no images"),
+    (("--method", "contrast", "--images", "photographs", "--size", "32"), "method contrast: has no images"),
     (("--method", "contrast", "--size", "128"), "size: only for a folder of photographs"),
     (
         (*TASK, "--weights", "words.pth", "--set", "descents.0.network_learning_rate=1e-4"),

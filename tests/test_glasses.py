@@ -111,7 +111,7 @@ def test_a_choice_between_makers_is_a_remark():
     search = Library()
     search.glass("F2")
     assert search.remarks == ["glass F2 taken from SCHOTT; other makers: HOYA, HIKARI, CDGM (--catalogue)"]
-    for listed, name in ((["SCHOTT"], "F2"), ([], "N-BK7")):
+    for listed, name in ((["SCHOTT"], "F2"), (["NIKON"], "F2"), ([], "N-BK7")):
         search = Library([], listed)
         search.glass(name)
         assert search.remarks == []

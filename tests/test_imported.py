@@ -215,13 +215,14 @@ def test_a_lens_that_cannot_serve_the_specification_is_refused(tmp_path, lens, s
 PHONES = [path for path in reference_files("lenses/cellphone/source/*") if path.suffix.lower() == ".zmx"]
 
 
-def test_the_catalogue_beside_a_zemax_file_is_one_of_its_sources(tmp_path):
-    """The file may name any of them; a job whose catalogue changes runs again."""
+def test_the_catalogues_of_a_zemax_file_are_its_sources(tmp_path):
+    """The file may name those beside it and the built-in ones; a job whose catalogue changes runs again."""
     for name in ("mine.zmx", "mine.agf", "other.agf"):
         (tmp_path / name).touch()
     other = tmp_path / "other.agf"
     lens = ImportedLens(elements="phone", file=tmp_path / "mine.zmx", catalogues=(other,))
-    assert lens.sources == (tmp_path / "mine.zmx", tmp_path / "mine.agf", other)
+    assert lens.sources[:3] == (tmp_path / "mine.zmx", other, tmp_path / "mine.agf")
+    assert {path.name for path in lens.sources[3:]} > {"plastics.yaml", "SCHOTT.agf"}
 
 
 def phone(path: Path) -> ImportedLens:

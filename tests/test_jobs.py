@@ -68,7 +68,6 @@ READERS = [
     ("designs.imaging1.descents.0.steps", 4,
      lambda job: job in (("design", "singlet-imaging1"), ("effort_table",), ("regimes_table",))),
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "captures") or measures(*RESTORED)(job)),
-    ("restored", [], lambda job: job in (("table", "table4"), ("verdicts_table",), ("verify",), ("captures",))),
     ("capture.outside_window", "renormalise",
      lambda job: job[0] in ("restore", "captures", "frames", "production", "merit_function_table")
      or (job[0] in ("fine_tune", "reproduce") and job[1] != SHARP)
@@ -93,6 +92,14 @@ def test_a_changed_value_reaches_the_jobs_that_read_it_and_no_others(key, value,
     changed_jobs = {job for job in before if before[job] != after[job]}
     assert changed_jobs - {("report_page",)} == {job for job in before if reads(job)} != set()
     assert ("report_page",) in changed_jobs  # it shows the whole configuration
+
+
+def test_a_study_without_restored_captures_has_no_table_of_them():
+    """Jobs that read all tables change, and no others."""
+    before, after = slices(tiny_study()), slices(changed(tiny_study(), "restored", []))
+    assert before.keys() - after.keys() == {("table", "table4")} and after.keys() < before.keys()
+    changed_jobs = {job for job in after if before[job] != after[job]}
+    assert changed_jobs == {("verdicts_table",), ("verify",), ("captures",), ("report_page",)}
 
 
 def test_captures_of_a_study_of_restored_captures_alone():

@@ -301,6 +301,7 @@ MISTAKES = [
     (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than or equal to 0.5"),
     (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),
     (("show", PHONE, "--wavelengths", "0.5,red"), "wavelengths_um: expected a number, found 'red'"),
+    (("show", DOUBLET, "--configuration", "2"), "expected a configuration 1 .. 1, got 2 (--configuration)"),
     (("show", SAME, "--configuration", "2"), "expected a configuration 1 .. 1, got 2 (--configuration)"),
     (("draw", DOUBLET, "-o", "lens.gif"), "lens.gif: expected a name that ends in .png or .svg or .pdf"),
     (("psf", DOUBLET, "-o", "psf"), "psf: expected a name that ends in .npz or .safetensors or .png"),

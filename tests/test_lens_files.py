@@ -89,7 +89,8 @@ def test_where_light_is_lost_is_a_remark(tmp_path):
     save(tmp_path)
     wide = lens_files.read(tmp_path / "lens.zmx", field_of_view_deg=90.0)
     assert any(
-        "no light arrives at" in text and "lost by total reflection at surface 3" in text for text in wide.remarks
+        "no light arrives at" in text and "lost by total internal reflection at surface 3" in text
+        for text in wide.remarks
     )
     semi = cooke_triplet().semi_diameter.clone()
     semi[6] = 4.0

@@ -182,7 +182,8 @@ def test_images_as_other_programs_have_them(doublet):
     values = numpy.random.default_rng(0).integers(0, 256, (60, 64, 3), dtype=numpy.uint8)
     expected = tasklens.simulate(values, lens, view, [(0, 0)], rays=64)
     reversed_twice = values[..., ::-1].copy()[..., ::-1]
-    for image in (reversed_twice, Image.fromarray(values), values.astype(numpy.uint16) * 257):
+    wide = values.astype(numpy.uint16) * 257
+    for image in (reversed_twice, Image.fromarray(values), wide, torch.from_numpy(wide).movedim(-1, 0)):
         torch.testing.assert_close(tasklens.simulate(image, lens, view, [(0, 0)], rays=64).float(), expected.float())
     for image, words in (
         (values.astype(int), r"expected uint8, uint16 or floats in \[0, 1\], got torch.int64"),

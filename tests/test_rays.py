@@ -135,7 +135,7 @@ def status_of(lens: Lens, rays) -> tuple[RayStatus, int]:
 
 
 def test_a_lost_ray_has_a_status_and_a_surface():
-    """A ray that misses, hits the mount or is totally reflected says so, with the surface."""
+    """A ray that misses, hits the mount or is totally internally reflected says so, with the surface."""
     ball = make_lens([0.0, 1.0, 0.0], [0.5, 0.5, 1.0], ("air", "COC", "air"))
     assert status_of(ball, parallel_rays([1.5])) == (RayStatus.MISSED, 1)
     assert status_of(ball, parallel_rays([0.4])) == (RayStatus.OK, -1)

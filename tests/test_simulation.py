@@ -13,6 +13,8 @@ from torch import Tensor
 import tasklens
 from tasklens.cli.app import main
 from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.object_points import magnification
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, chief_rays, chief_rays_full, trace_fields
 from tasklens.optics.apertures import with_open_apertures
@@ -46,7 +48,7 @@ def chief_heights(lens: Lens, view: View) -> Tensor:
 @pytest.fixture(scope="module")
 def traced() -> SensorPsfs:
     lens, view = blurred()
-    return trace_sensor_psfs(lens, view, SHAPE, pitch_on_sensor(view, SHAPE), RAYS)
+    return trace_sensor_psfs(lens, view, SHAPE, pitch_on_sensor(lens, view, SHAPE), RAYS)
 
 
 def noise(shape: tuple[int, int], seed: int) -> Tensor:
@@ -98,7 +100,7 @@ def test_a_capture_is_that_of_psfs_traced_from_every_pixel(traced, lit):
     lens, view = blurred()
     image = torch.zeros(3, *SHAPE)
     image[(slice(None), *lit)] = noise((16, 16), seed=1)
-    expected = traced_from_every_pixel(lens, view, image, pitch_on_sensor(view, SHAPE), lit)
+    expected = traced_from_every_pixel(lens, view, image, pitch_on_sensor(lens, view, SHAPE), lit)
     error = (blend(image, traced) - expected).square().mean().sqrt()
     assert error < 0.01 * (expected - image).square().mean().sqrt()
 
@@ -106,7 +108,7 @@ def test_a_capture_is_that_of_psfs_traced_from_every_pixel(traced, lit):
 def test_a_star_shows_the_psf_of_its_field_and_keeps_its_light(traced):
     """Between nodes too: within 2 % of the PSF's norm, which has the noise of rays."""
     lens, view = blurred()
-    pitch = pitch_on_sensor(view, SHAPE)
+    pitch = pitch_on_sensor(lens, view, SHAPE)
     for row, column in ((48, 64), (70, 90), (52, 124), (93, 125)):
         star = torch.zeros(3, *SHAPE)
         star[:, row, column] = 1
@@ -229,7 +231,7 @@ def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_co
 def test_linear_light_differs_from_srgb_values_but_not_of_an_even_image():
     lens, view = blurred()
     image = noise((40, 48), seed=8)
-    pitch = pitch_on_sensor(view, (40, 48)) * 0.5
+    pitch = pitch_on_sensor(lens, view, (40, 48)) * 0.5
     first = [tasklens.simulate_sensor(image, lens, view, pitch, colour=c, rays=64) for c in ("srgb", "linear")]
     assert (first[0] - first[1]).abs().mean() > 1e-3
     even = tasklens.simulate_sensor(torch.full_like(image, 0.5), lens, view, pitch, colour="linear", rays=64)
@@ -237,10 +239,16 @@ def test_linear_light_differs_from_srgb_values_but_not_of_an_even_image():
 
 
 def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
-    _, view = blurred()  # 36 mm across
-    assert pitch_on_sensor(view, (96, 128)) == 225
-    assert pitch_on_sensor(view, (48, 64)) == 450
-    assert pitch_on_sensor(replace(view, pixel_pitch_um=223.0), (96, 128)) == 223  # nearly full: as it was made
+    lens, view = blurred()  # 36 mm across
+    assert pitch_on_sensor(lens, view, (96, 128)) == 225
+    assert pitch_on_sensor(lens, view, (48, 64)) == 450
+    assert pitch_on_sensor(lens, replace(view, pixel_pitch_um=223.0), (96, 128)) == 223  # nearly full: as it was made
+    near = replace(view, object_vergence=1 / 300)  # the image of a near object is larger
+    first_order = paraxial(lens, near.reference)
+    object_height = 18 / float(first_order.efl) * (300 + float(first_order.entrance_pupil_z))
+    height = abs(magnification(lens, near)) * object_height
+    assert height > 1.1 * 18
+    assert pitch_on_sensor(lens, near, (96, 128)) == pytest.approx(2e3 * height / 160, rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import yaml
 from designs import problem
 from examples import changed, random_images, read_rows, tiny_study, trained_network
 from pydantic import ValidationError
-from rules import finish
+from rules import finish, job_of
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss
@@ -324,6 +324,15 @@ def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
     assert all("singlet-for_boxes" not in tables.table(study, name).lenses for name in study.tables)
     assert task_jobs.tasks(study).lenses[-1] == "singlet-for_boxes"
     assert not any("for_boxes" in lens for claim in claims.claims(study).claims for lens in claim.lenses)
+
+
+def test_other_fine_tuning_of_a_task_designs_no_lens_again():
+    """The frozen network of the design has none."""
+    study, other = (parse(changed(with_tasks(), "tasks.networks.boxes.fine_tuning.epochs", n)) for n in (1, 2))
+    lens = {"lens": "singlet-for_boxes", "seed": 0}
+    for rule, wildcards, same in (("design", lens, True), ("task_fine_tune", lens | {"task": "boxes"}, False)):
+        before, after = (job_of(rule, s, **wildcards).settings for s in (study, other))
+        assert (before == after) == same
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from itertools import pairwise
 
 import pytest
+import timm
 import torch
 from examples import random_images, small_network, trained_network
 from torch import nn
@@ -88,3 +89,17 @@ def test_every_image_is_used_before_any_repeats():
     assert [len(b) for b in batches] == [4] * 5
     assert torch.cat(batches)[:10].sort().values.tolist() == torch.cat(batches)[10:].sort().values.tolist()
     assert torch.cat(batches)[:10].sort().values.tolist() == list(range(10))
+
+
+def test_what_timm_exempts_has_no_weight_decay():
+    """Embeddings of positions and of the class, besides biases and norms; also in a network around the model."""
+    network = nn.Sequential(timm.create_model("test_vit", num_classes=3))
+    rates = {
+        parameter: group["weight_decay"]
+        for group in training.parameter_groups(network, 0.05)
+        for parameter in group["params"]
+    }
+    assert rates.keys() == set(network.parameters())
+    for name, parameter in network.named_parameters():
+        exempt = parameter.ndim == 1 or name.split(".")[1] in ("pos_embed", "cls_token", "reg_token")
+        assert rates[parameter] == (0 if exempt else 0.05), name

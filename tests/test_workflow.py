@@ -10,6 +10,7 @@ from expected_jobs import PAGE_JOBS, expected, expected_of_everything
 from rules import ROOT
 from workflows import forked, plan, smoke_with_imported
 
+from tasklens.study import tables as paper_tables
 from tasklens.study.loading import at_points, load, parse, read
 
 STUDIES = studies_we_ship()
@@ -51,6 +52,16 @@ def test_single_values_change_the_default_study(beside_config):
     """Without a study file `--config` is laid over config/config.yaml: two seeds instead of one."""
     study = load(ROOT / "config" / "config.yaml").model_copy(update={"seeds": (3, 4)})
     assert plan(beside_config, None, "tables", "--config", "seeds=[3, 4]") == expected(study)
+
+
+def test_tables_without_lenses_are_left_out(tmp_path):
+    """Least squares alone has no rows in the table of end-to-end designs."""
+    study = tiny_study() | {"designs": {"imaging2": {"method": "least_squares"}}}
+    del study["classifiers"]["other"]
+    count = plan(tmp_path, study, "tables")["table"]
+    assert 0 < count == len(paper_tables.tables(parse(study))) < len(parse(study).tables)
+    status, output = forked(tmp_path, study, "--dry-run", "table3")
+    assert status != 0 and "table3: the study has no lens for this table; add a design" in output
 
 
 @pytest.mark.parametrize("options, gpus", [((), "gpu=1"), (("--config", "gpus=false"), "gpu=0")])

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import time
 
@@ -88,6 +89,17 @@ def test_finished_results_are_not_overwritten_without_consent(finished):
         assert status == 0 and "again" not in output and "design" in output
     assert {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in paths} == before
     assert {path for path in (finished / "results").rglob("*") if path.is_file()} == set(paths)
+
+
+@pytest.mark.slow
+def test_touched_results_are_those_of_the_present_study(finished, tmp_path):
+    """The user may say so with Snakemake's own option; nothing runs, and nothing is left to do."""
+    folder = tmp_path / "copy"
+    shutil.copytree(finished, folder)
+    lens = folder / "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml"
+    before, faster = lens.read_bytes(), changed(one_lens(), "spec.f_number", 2.0)
+    assert snakemake(folder, faster, "table1", "--touch").returncode == 0
+    assert plan(folder, faster, "table1") == {} and lens.read_bytes() == before
 
 
 @pytest.mark.slow

@@ -222,6 +222,9 @@ def test_data_of_the_file_that_are_ignored_are_remarks(tmp_path):
     changes = ("XFLN 0 1.5", "XFLN 0 1.5\nVCYN 0 0.2"), ("WAVM 2 0.5893 1", "WAVM 2 0.5893 0.3")
     factors, weights = read_lens(tmp_path, edit(*changes)).remarks
     assert factors.startswith("vignetting factors are ignored") and weights.startswith("weights of wavelengths")
+    for keyword in ("WWGN", "WWGT"):
+        (weights,) = read_lens(tmp_path, edit(("XFLN 0 1.5", f"XFLN 0 1.5\n{keyword} 1 5 1"))).remarks
+        assert weights == "weights of wavelengths are ignored: all weigh the same"
     (stop,) = read_lens(tmp_path, edit(('DIAM 0.55 0 0 0 1 ""', "CLAP 0 0.3 0"))).remarks
     assert stop == "clear aperture of the stop, 0.3 mm: smaller than ENPD gives, 0.5201 mm"
 

@@ -155,7 +155,10 @@ def simulate(
     field: Annotated[str, typer.Option(help="Field: axis, middle, corner, or X,Y: f tan(theta) in mm.")] = "axis",
     grid: Annotated[bool, typer.Option("--grid", help="Show all nine fields in one image.")] = False,
     whole_sensor: Annotated[
-        bool, typer.Option("--whole-sensor", help="Simulate the whole sensor, from axis to corner.")
+        bool,
+        typer.Option(
+            "--whole-sensor", help="Simulate the whole sensor, from axis to corner; --kernel-size has no effect."
+        ),
     ] = False,
     true_pixels: Annotated[
         bool,

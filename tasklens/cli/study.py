@@ -19,6 +19,7 @@ from tasklens.report.differences import common, differences
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
 from tasklens.study import loading
+from tasklens.study.parts import whole_study_name
 from tasklens.study.study import Study
 
 app = typer.Typer(no_args_is_help=True)
@@ -228,18 +229,19 @@ def _folder(place: Path) -> Path:
 def status(place: Place, as_json: AsJson = False) -> None:
     """Show running, finished and failed jobs, read from files; this also works for a study on a cluster."""
     folder = _folder(place)
-    own, points = runs.read(folder), [runs.read(path.parent) for path in sorted(folder.glob("*/run.json"))]
-    study_runs = [run for run in (own, *points) if run is not None]
+    own, inside = runs.read(folder), [runs.read(path.parent) for path in sorted(folder.glob("*/run.json"))]
+    points = [run for run in inside if run is not None and run.study == whole_study_name(run.study)]
+    study_runs = points if own is None else [own, *points]
     if not study_runs:
         raise FileError(f"{folder}/run.json: no run of this study; `tasklens study plan` shows what remains")
     if as_json:
         states = {} if own is None else _state(own)
-        of_points = [_state(run) for run in points if run is not None]
+        of_points = [_state(run) for run in points]
         print(json.dumps(states | ({"points": of_points} if of_points else {}), indent=1))
         return
     pairs = [(run, Durations(run.study, run.folder)) for run in study_runs]
     if len(alive := [item for item in pairs if item[0].is_alive]) > 1:
-        print(f"all points: {runs.headline(alive)}")
+        print(f"in all: {runs.headline(alive)}")
     for item in pairs:
         print("\n".join(runs.status(*item)))
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import torch
-from timm.optim import param_groups_weight_decay
 from torch import Tensor, nn
 
 from tasklens.design.schedule import cosine
 from tasklens.optics.analysis.spots import centroid
 from tasklens.optics.rays import Rays
 from tasklens.recognition.tasks import CLASSIFICATION, Task
+from tasklens.recognition.training import parameter_groups
 
 _WEIGHT_DECAY = 0.05  # for a network that is trained with a lens
 _FREQUENCIES = (0.125, 0.25)  # a quarter and a half of the Nyquist frequency, for the contrast [cycles per pixel]
@@ -36,8 +36,8 @@ class Criterion:
         """Parts with `state_dict` and `load_state_dict` by name; none, unless the criterion is trained."""
         return {}
 
-    def train(self) -> None:
-        """Take a training step with the accumulated gradients, if the criterion is trained."""
+    def train_step(self) -> None:
+        """Step the network's optimizer with the accumulated gradients, if the criterion is trained."""
 
     @contextmanager
     def evaluating(self) -> Iterator[None]:
@@ -80,7 +80,7 @@ class JointTaskLoss(TaskLoss):
 
     def __init__(self, network: nn.Module, learning_rate: float, steps: int, final: float, task: Task = CLASSIFICATION):
         super().__init__(network.train(), task)
-        self.optimizer = torch.optim.AdamW(param_groups_weight_decay(network, _WEIGHT_DECAY), lr=learning_rate)
+        self.optimizer = torch.optim.AdamW(parameter_groups(network, _WEIGHT_DECAY), lr=learning_rate)
         self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimizer, lambda step: cosine(step / steps, final))
 
     @property
@@ -88,8 +88,8 @@ class JointTaskLoss(TaskLoss):
         """Network, optimizer and schedule."""
         return {"network": self.network, "network_optimizer": self.optimizer, "network_schedule": self.schedule}
 
-    def train(self) -> None:
-        """Take a step of the network."""
+    def train_step(self) -> None:
+        """Step the network's optimizer and schedule."""
         self.optimizer.step()
         self.schedule.step()
         self.optimizer.zero_grad()

@@ -97,7 +97,7 @@ class Descent:
         change = optimizer.change(vector, design, scaled_loss, fraction, pixels)
         if not (torch.isfinite(loss.fields).all() and torch.isfinite(change).all()):
             raise divergence(lens, supervisor.problem.view, pupil, loss.fields)
-        supervisor.criterion.train()
+        supervisor.criterion.train_step()
         numbers |= {"loss": loss.fields.mean().item(), "worst_field": loss.fields.max().item()}
         if loss.energy is not None:
             numbers["energy_in_window"] = loss.energy

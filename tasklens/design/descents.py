@@ -5,8 +5,8 @@ different ray displacements, and results depend strongly on the image order. So 
 displacement (see `ray_space`), and the best of several restarts from the plates are refined.
 
 If a design begins with other lenses, the best of them by its criterion is the start. Lenses are compared as saved:
-limits repaired, apertures set, and on images other than those that guide a descent. A result that has only overfitted
-the images of its descent is replaced by its start.
+limits repaired, apertures set, and, if there are enough, on images other than those that guide a descent. A result
+that has only overfitted the images of its descent is replaced by its start.
 """
 
 from collections.abc import Callable, Mapping

@@ -35,7 +35,7 @@ class Merit:
         corner_weight: weight of the corner field, geometric from 1 on the axis.
         per_mm: residual per mm of violation, or per unit of a violation without a unit [um/mm].
         angle_weight: factor on the residuals of chief ray angles.
-        rim: number of marginal rays on half the pupil edge, for the illuminated radii.
+        rim: number of rim rays on half the pupil edge, for the illuminated radii.
     """
 
     def __init__(

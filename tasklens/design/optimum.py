@@ -74,7 +74,9 @@ def _gradient(space: RaySpace, supervisor: Supervisor, pixels: float) -> Tensor:
     with supervisor.criterion.evaluating():
         for k, batch in enumerate(indices.split(_MICRO_STEP)):
             vector = space.start.clone().requires_grad_()
-            loss = supervisor.loss(space.lens(vector), sobol_disc(_RAYS, seed=0), pixels, batch, k)
+            lens = space.lens(vector)
+            (built_lens,) = supervisor.as_built(lens, supervisor.problem.seed + k)
+            loss = supervisor.loss(built_lens, sobol_disc(_RAYS, seed=0), pixels, batch, k, lens)
             (gradient,) = torch.autograd.grad(loss.value, vector)
             total += gradient * len(batch) / len(indices)
     return total

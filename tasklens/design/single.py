@@ -263,6 +263,7 @@ def unused_images(folder: Path, size: int | None) -> ImageDataset:
         raise FileError(f"{folder}: no such folder of images")
     if class_folders.is_split(folder):
         images = user_images.of_folder(folder, class_folders.TEST, size, 0, _UNUSED)
+        class_folders.same_classes(folder, class_folders.training_classes(folder), images.classes)
     else:
         images = user_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
     if len(images) < _LEAST:

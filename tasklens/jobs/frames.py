@@ -56,8 +56,9 @@ def run(
     sources = {"chart": resolution_chart(*shape), "test images": _tiled(images, shape)}
     rows = {name: {"sharp": image} for name, image in sources.items()}
     for lens, view in views.items():
-        pitch = pitch_on_sensor(view, shape)
-        sensor_psfs = trace_sensor_psfs(read[lens][0].lens, view, shape, pitch)
+        design = read[lens][0].lens
+        pitch = pitch_on_sensor(design, view, shape)
+        sensor_psfs = trace_sensor_psfs(design, view, shape, pitch)
         for name, image in sources.items():
             rows[name][lens] = capture(image, sensor_psfs, settings.captures[lens].colour)
     network = settings.comparison.claims[0].classifier

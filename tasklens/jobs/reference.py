@@ -32,7 +32,7 @@ def run(
     train = dataset.read(*images, device=device)
     torch.manual_seed(settings.seed)
     classifier = classifiers.build(settings, train.classes).to(device)
-    if settings.training is not None:
+    if settings.training is not None and settings.training.epochs:
         training.fit(classifier, train, settings.training, settings.seed, "reference", checkpoint=checkpoint)
     elif len(train) >= _ENOUGH:
         order = torch.randperm(len(train), generator=torch.Generator().manual_seed(0))[:_SHARP]

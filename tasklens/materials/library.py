@@ -104,7 +104,7 @@ class Library:
     def _remark(self, first: Material, matches: Iterator[Material]) -> None:
         """Note that another maker's glass of the same name differs, unless the lens file lists the catalogue."""
         catalogue = first.zemax.partition(" ")[0].upper()
-        if catalogue not in _MAKERS or catalogue in self.listed:
+        if catalogue not in _MAKERS or catalogue in (_ALIASES.get(name, name) for name in self.listed):
             return
         makers = [glass.zemax.partition(" ")[0] for glass in matches if glass.coefficients != first.coefficients]
         if makers:

@@ -112,7 +112,7 @@ def simulate_sensor(
         raise InputError(f"pixel_pitch_um: expected a positive width, got {pixel_pitch_um}")
     source, view = image_tensor(image), view.in_colours()
     shape = (source.shape[1], source.shape[2])
-    pitch = pixel_pitch_um or pitch_on_sensor(view, shape)
+    pitch = pixel_pitch_um or pitch_on_sensor(lens, view, shape)
     return capture(source, trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination), colour)
 
 

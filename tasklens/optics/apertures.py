@@ -18,6 +18,6 @@ def with_open_apertures(lens: Lens) -> Lens:
 def with_clear_apertures(lens: Lens, clear: Tensor) -> Lens:
     """Set clear apertures of semi-diameters `clear` (S,) [mm] on surfaces that have none.
 
-    They vignette stray rays: task-driven lenses have strongly curved rims, where a few marginal rays have large errors.
+    They vignette stray rays: task-driven lenses have strongly curved rims, where a few rim rays have large errors.
     """
     return replace(lens, semi_diameter=torch.where(lens.semi_diameter.isinf(), clear, lens.semi_diameter))

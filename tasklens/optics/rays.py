@@ -58,7 +58,7 @@ def describe_loss(rays: Rays, lost: Tensor) -> str:
     return {
         RayStatus.MISSED: f"where it misses {surface}",
         RayStatus.VIGNETTED: f"at the clear aperture of {surface}",
-        RayStatus.TOTAL_INTERNAL_REFLECTION: f"by total reflection at {surface}",
+        RayStatus.TOTAL_INTERNAL_REFLECTION: f"by total internal reflection at {surface}",
     }[RayStatus(int(rays.status[lost][0]))]
 
 

@@ -130,8 +130,11 @@ def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
         jobs: the jobs of the run by label.
     """
     finished_labels = {label for label, job in jobs.items() if job.outputs and job.rule in COUNTED}
-    pairs = {k: (json.loads(job.made_with), json.loads(job.settings)) for k, job in jobs.items() if job.made_with}
-    changed_settings = {label: pair for label, pair in pairs.items() if pair[0] != pair[1]}
+    changed_settings = {
+        label: (json.loads(job.made_with), json.loads(job.settings))
+        for label, job in jobs.items()
+        if job.made_with and job.made_with != job.settings  # as text, like Snakemake
+    }
     changed_code = {label for label, job in jobs.items() if job.made_by not in (None, job.code)}
     by_values = finished_labels & _with_dependents(changed_settings, jobs)
     by_code = finished_labels & _with_dependents(changed_code, jobs) - by_values
@@ -215,6 +218,7 @@ def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: in
         lines = [str(change) for change in overwrites.changes[:_SHOWN]]
         if len(overwrites.changes) > _SHOWN:
             lines.append(f"and {len(overwrites.changes) - _SHOWN} more changed values")
+        lines = lines or ["values in another order or format"]
         lines = [f"{lines[0]}: {total}"] if len(lines) == 1 else [*lines, f"together: {total}"]
     if overwrites.by_code:
         lines.append(f"changed code of TaskLens: {amount(overwrites.by_code, durations, cores)}")
@@ -232,7 +236,7 @@ def refusal(overwrites: Overwritten, study: str, durations: Durations, cores: in
             *(f"  {line}" for line in lines),
             f"Keep them, and {keep}",
             *(
-                ["Or take them for results of the present code, in this and every later run:  --rerun-triggers mtime"]
+                ["Or take them for results of the present code:  the same command with --touch"]
                 if overwrites.by_code and not overwrites.by_values and not ranking
                 else []
             ),

@@ -21,6 +21,7 @@ from tasklens.runtime.job import place
 
 _DEFAULT_HANDLER = "DefaultStreamHandler"  # of the terminal
 _DEFAULT_RATE = (100, 1)  # jobs, seconds
+_LAST_OF_DRY_RUN = ("This was a dry-run", "Nothing to be done")
 
 
 def configfiles(workflow: Any) -> list[Path]:
@@ -36,6 +37,11 @@ def cores(workflow: Any) -> int:
 def is_dry_run(workflow: Any) -> bool:
     """Return whether jobs are only planned."""
     return workflow.output_settings.dryrun
+
+
+def is_touch(workflow: Any) -> bool:
+    """Return whether outputs are only recorded as up to date (`--touch`)."""
+    return workflow.touch
 
 
 def is_module(workflow: Any) -> bool:
@@ -110,11 +116,11 @@ def limit_no_rate(workflow: Any) -> None:
 
 
 def after_dry_run(text: Callable[[], str]) -> None:
-    """Print a text below Snakemake's lines of a dry run, so that users see it."""
+    """Print a text below Snakemake's last line of a dry run, so that users see it."""
 
     class Last(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            if str(record.msg).startswith("This was a dry-run") and (last := text()):
+            if str(record.msg).startswith(_LAST_OF_DRY_RUN) and (last := text()):
                 print(f"\n{last}")
 
     logger.addHandler(Last())

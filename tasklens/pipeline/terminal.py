@@ -32,7 +32,7 @@ _SHOWN = 8  # running jobs below the bar
 _LOG_LINES = 12  # of a failed job
 _NOTHING = "Nothing to be done"
 _STOPPING = "Terminating processes"  # on Ctrl-C; the jobs then end with errors
-_PASSED_ON = (_STOPPING, "Will exit after", "Unlock")
+_PASSED_ON = (_STOPPING, "Will exit after", "Unlock", "Deleting ", "archived ", "Report created")
 _REPLACED = (
     "Exiting because a job execution failed",
     "At least one job did not complete",

@@ -203,9 +203,14 @@ def frozen(classifier: _Network, images: Tensor, batch_norm: Literal["stored", "
         batch_norm: "stored" statistics make batch norms constant affine maps, which are folded into convolutions; this
             saves a quarter of the time and almost half of the memory of a ResNet. "batch" uses the statistics of the
             batch, and leaves the stored ones unchanged.
+
+    Raises:
+        InputError: a batch norm has no stored statistics.
     """
     network = copy.deepcopy(classifier).eval().requires_grad_(False)
     if batch_norm == "stored":
+        if any(isinstance(module, _BatchNorm) and module.running_mean is None for module in network.modules()):
+            raise InputError("network: a batch norm without stored statistics: its answers depend on the batch")
         fold_batch_norms(network, images[:1])
         memory_format = getattr(classifier, "memory_format", torch.preserve_format)
         return freeze_batch_norm_2d(network).to(memory_format=memory_format)

@@ -57,6 +57,7 @@ def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoi
         for name, split in zip(SPLITS, _splits(images), strict=True):
             path, labels = paths[name]
             if isinstance(split, ImageDataset):
+                temporary_files[path].unlink(missing_ok=True)  # of a killed job with photographs
                 write(split, path, labels)
             else:  # in temporary files, since Snakemake deletes the outputs of a killed job
                 folders.convert(split, images.size, temporary_files[path], torch.get_num_threads(), checkpoint)

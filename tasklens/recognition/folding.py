@@ -57,7 +57,7 @@ def _pairs(network: nn.Module, images: Tensor) -> list[tuple[nn.Conv2d, nn.Batch
         answer = network(images.detach().to(next(network.parameters())).requires_grad_())
     for hook in hooks:
         hook.remove()
-    if not isinstance(answer, Tensor):
+    if not isinstance(answer, Tensor) or answer.grad_fn is None:
         return []
     readers = _readers(answer.grad_fn)
     places = Counter(module for _, module in network.named_modules(remove_duplicate=False))  # names of each module

@@ -33,8 +33,8 @@ def image_tensor(image: Image) -> Tensor:
     if image.dim() != 3 or image.shape[0] != 3:
         hint = "; repeat a grey one three times" if image.dim() == 2 or 1 in image.shape[:1] else ""
         raise InputError(f"image: expected an array (H, W, 3) or a tensor (3, H, W), got {tuple(image.shape)}{hint}")
-    if image.dtype == torch.uint8:
-        return image.float() / 255
+    if image.dtype in (torch.uint8, torch.uint16):
+        return image.float() / torch.iinfo(image.dtype).max
     if not image.is_floating_point():
         raise InputError(f"image: expected uint8, uint16 or floats in [0, 1], got {image.dtype}")
     low, high = float(image.detach().min()), float(image.detach().max())

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import torch
 from timm.optim import param_groups_weight_decay
@@ -23,6 +24,17 @@ def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -
     up = LinearLR(optimizer, 1 / (rising + 1), total_iters=rising)
     down = CosineAnnealingLR(optimizer, max(1, steps - rising))
     return SequentialLR(optimizer, [up, down], [rising])
+
+
+def parameter_groups(network: nn.Module, weight_decay: float) -> list[dict[str, Any]]:
+    """Return the groups for AdamW: biases, norms and what timm's models exempt have no weight decay."""
+    exempt = [
+        f"{path}.{name}" if path else name
+        for path, module in network.named_modules()
+        if hasattr(module, "no_weight_decay")
+        for name in module.no_weight_decay()
+    ]
+    return param_groups_weight_decay(network, weight_decay, no_weight_decay_list=exempt)
 
 
 class Shuffled:
@@ -82,7 +94,7 @@ def fit(
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(dataset) / training.batch_size)) if training.epochs else 0
     parallel = group.wrap(network)
-    groups = param_groups_weight_decay(network, training.weight_decay)
+    groups = parameter_groups(network, training.weight_decay)
     optimizer = torch.optim.AdamW(groups, lr=training.learning_rate, fused=True)
     schedule = warmup_cosine(optimizer, steps, training.warmup)
     order = Shuffled(len(dataset), training.batch_size, generator)

@@ -98,7 +98,7 @@ def _lens(content: Mapping) -> dict[str, str]:
         rows |= {
             "object, in front of the first surface [mm]": f"{figures['object_distance_mm']:g}",
             "magnification": f"{figures['magnification']:.4g}",
-            "working F-number": f"{figures['working_f_number']:.3f}",
+            "paraxial working F-number": f"{figures['working_f_number']:.3f}",
         }
     if "worst_margin" in content:
         rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"

@@ -1,4 +1,4 @@
-"""Effort of each design: lenses tried, and the duration of its job on one core, as Snakemake measured it."""
+"""Effort of each design: lenses tried, and the wall time of its job, as Snakemake measured it."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -12,9 +12,9 @@ from tasklens.study.tables import LensKey
 
 _NOTE = """\
 Study `{study}`. Lens evaluations are the steps of descents, or the evaluations of least squares, which are fewer if it
-ends at a given spot. Time is that of the design job on one core, with the figures and PSFs of its lens: the median of
-all seeds. A job that was interrupted counts from its last start. "In all" adds the designs of all lenses from which the
-start was chosen, without the fine-tunings that this choice needed."""
+ends at a given spot. Time is the wall time of the design job, with the figures and PSFs of its lens, and any wait for a
+GPU: the median of all seeds. A job that was interrupted counts from its last start. "In all" adds the designs of all
+lenses from which the start was chosen, without the fine-tunings that this choice needed."""
 
 
 def core_minutes(path: Path) -> float:

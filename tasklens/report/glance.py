@@ -93,7 +93,7 @@ def text(name: str, data: Mapping) -> str:
     if "object_distance_mm" in data:
         lines.append(
             f"  object {data['object_distance_mm']:g} mm in front of the first surface, magnification "
-            f"{data['magnification']:.4g}, working F/{data['working_f_number']:.2f}"
+            f"{data['magnification']:.4g}, paraxial working F/{data['working_f_number']:.2f}"
         )
     for key, (meaning, digits) in _FIELDS.items():
         lines.append(f"  {meaning:<37}" + "".join(f"{value:>9.{digits}f}" for value in data["fields"][key]))

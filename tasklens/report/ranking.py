@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -270,7 +269,6 @@ def render(
     ]
     better = ranks[: (len(ranks) + 1) // 2]  # the other lenses may be at the left edge
     low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in better) // _SCALE))
-    css = (resources.files("tasklens.report.page") / "page.css").read_text(encoding="utf-8")
     return environment.get_template("ranking.html").render(
-        entries=entries, answer=answer, css=css, low=low, width=100 - low, **words
+        entries=entries, answer=answer, css=pictures.style_sheet(), low=low, width=100 - low, **words
     )

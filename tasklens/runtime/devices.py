@@ -65,8 +65,9 @@ def claim_several(number: int) -> list[torch.device]:
 
 
 def send(tensor: Tensor, device: torch.device) -> Tensor:
-    """Copy a CPU tensor to `device`, asynchronously to a GPU."""
-    return tensor.pin_memory().to(device, non_blocking=True) if device.type == "cuda" else tensor.to(device)
+    """Copy a tensor to `device`, asynchronously from the CPU to a GPU."""
+    to_gpu = tensor.device.type == "cpu" and device.type == "cuda"
+    return tensor.pin_memory().to(device, non_blocking=True) if to_gpu else tensor.to(device)
 
 
 @contextmanager

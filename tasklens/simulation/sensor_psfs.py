@@ -37,13 +37,15 @@ _NEGLIGIBLE = 1e-6  # fraction of the light
 _NOMINAL = 0.02  # a sensor's diagonal may exceed that of its pixels by this: 1080 x 1920 of 1.8 um on 4 mm
 
 
-def pitch_on_sensor(view: View, shape: tuple[int, int]) -> float:
+def pitch_on_sensor(lens: Lens, view: View, shape: tuple[int, int]) -> float:
     """Return the pixel pitch [um] at which an image of H x W pixels fills the sensor, for any aspect ratio.
 
     It is the pitch of the view if the image has the sensor's number of pixels on the diagonal, or up to 2 % fewer; if
-    not, the pitch at which the image diagonal equals the sensor diagonal (twice the largest field).
+    not, the pitch at which the image diagonal equals the sensor diagonal (twice the paraxial image height of the
+    largest field).
     """
-    filling = 2e3 * float(view.radii.max()) / math.hypot(*shape)
+    height = float(view.radii.max()) * abs(float(image_scale(lens.detached(), view)))
+    filling = 2e3 * height / math.hypot(*shape)
     return view.pixel_pitch_um if 1 <= filling / view.pixel_pitch_um <= 1 + _NOMINAL else filling
 
 

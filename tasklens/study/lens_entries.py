@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, FilePath, field_validator
 
-from tasklens.materials.catalogues import catalogues_in_folder
+from tasklens.materials.catalogues import MAKERS, PLASTICS, catalogues_in_folder
 from tasklens.materials.material import Material
 from tasklens.study.design_settings import (
     DescentSettings,
@@ -38,9 +38,11 @@ class ImportedLens(Frozen):
 
     @property
     def sources(self) -> tuple[Path, ...]:
-        """The file, and its catalogues, also those in the folder of a Zemax file, which it may name."""
-        own = catalogues_in_folder(self.file) if self.file.suffix.lower() == ".zmx" else []
-        return tuple(dict.fromkeys([self.file, *own, *self.catalogues]))
+        """The file, and its catalogues: for a Zemax file also those in its folder, and the built-in ones."""
+        named: list[Path] = []
+        if self.file.suffix.lower() == ".zmx":
+            named = [*catalogues_in_folder(self.file), PLASTICS, *sorted(MAKERS.glob("*.agf"))]
+        return tuple(dict.fromkeys([self.file, *self.catalogues, *named]))
 
     @field_validator("file")
     @classmethod

@@ -276,4 +276,8 @@ class SweepJob(Frozen):
         if not study.sweep:
             raise StudyError(f"{study.name}: has no sweep, of which this would be the table")
         grid = points(study.sweep)
-        return cls(study=study.name, points=grid, tables=tuple((p, name) for p in grid for name in study.tables))
+        return cls(
+            study=study.name,
+            points=grid,
+            tables=tuple((p, table.name) for p in grid for table in paper_tables.tables(study)),
+        )

@@ -175,7 +175,9 @@ class TrainingSettings(Frozen):
     )
     learning_rate: LearningRate = Field(description="Largest learning rate, after the warm-up.")
     batch_size: Batch = Field(64, description="Images per step.")
-    weight_decay: float = Field(0.05, ge=0, le=100, description="Weight decay of matrices and convolutions.")
+    weight_decay: float = Field(
+        0.05, ge=0, le=100, description="Weight decay of AdamW; not of biases, norms and what timm's models exempt."
+    )
     warmup: Fraction = Field(0.05, description="Fraction of the steps in which the learning rate rises linearly.")
 
 

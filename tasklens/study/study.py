@@ -234,6 +234,11 @@ class Study(Frozen):
         """Return the task `name`; raises StudyError with the known names."""
         return pick(self.tasks.networks, name, "task")
 
+    def task_network(self, name: str) -> TaskSettings:
+        """Return the task `name` for use without fine-tuning on captures."""
+        task = self.task(name)
+        return task.model_copy(update={"fine_tuning": task.training})
+
 
 _Entry = TypeVar("_Entry")
 

@@ -130,7 +130,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
         classifier=study.network(study.supervisor) if entry.classified and not entry.other_task else None,
         task=entry.other_task,
-        network=None if entry.other_task is None else study.task(entry.other_task),
+        network=None if entry.other_task is None else study.task_network(entry.other_task),
         starts=starts(study, lens),
         candidates=candidates(study, lens),
         rays=study.evaluation_rays,

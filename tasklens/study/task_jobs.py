@@ -30,9 +30,8 @@ class TaskTrainingJob(Frozen):
 
     @classmethod
     def of(cls, study: Study, task: str) -> "TaskTrainingJob":
-        """Return the settings of the job, without those of later fine-tuning."""
-        network = study.task(task)
-        return cls(name=task, network=network.model_copy(update={"fine_tuning": network.training}))
+        """Return the settings of the job."""
+        return cls(name=task, network=study.task_network(task))
 
 
 class TaskFineTuningJob(Frozen):

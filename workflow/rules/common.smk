@@ -50,7 +50,7 @@ def study_named(name):
         whole = studies.get(whole_study_name(name)) or study_in_folder(name.partition("/")[0])
         studies |= {study.name: study for study in (whole, *loading.at_points(whole), *parts(whole))}
     if name not in studies:
-        raise StudyError(f"{name}: the sweep has no such point; expected one of {', '.join(studies)}")
+        raise StudyError(f"{name}: no such study; expected one of {', '.join(studies)}")
     return studies[name]
 
 

@@ -77,7 +77,10 @@ def supervisor_weights(wildcards):
 
 def table_of(wildcards):
     """Return the contents of a table of the paper."""
-    return paper_tables.table(study_of(wildcards), wildcards.table)
+    contents = paper_tables.table(study_of(wildcards), wildcards.table)
+    if not contents.lenses:
+        raise StudyError(f"{wildcards.table}: the study has no lens for this table; add a design")
+    return contents
 
 
 def comparison_of(wildcards):

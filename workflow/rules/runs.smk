@@ -100,9 +100,10 @@ onstart:
     snakemake_internals.limit_no_rate(workflow)
     planned, cores = planned_by_study(), snakemake_internals.cores(workflow)
     results = overwritten(planned)
-    if reason := refusals(results):
-        sys.exit(reason)
-    check_studies(planned)
+    if not snakemake_internals.is_touch(workflow):
+        if reason := refusals(results):
+            sys.exit(reason)
+        check_studies(planned)
     for name, jobs in planned.items():
         if results[name].otherwise:
             amount = changes.amount(results[name].otherwise, durations_in(name), cores)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, powers_and_spaces, vertex_curvature
+from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, powers_and_thicknesses, vertex_curvature
 from tasklens.optics.analysis.spots import chief_rays_full
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
@@ -62,7 +62,7 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
     z, vergence = first_order.entrance_pupil_z, view.object_vergence
     height = torch.stack([first_order.entrance_pupil_radius / (1 + z * vergence), -tangent * z])
     angle = torch.stack([vergence * height[0], tangent]) * n[0]
-    heights, angles = paraxial_ray(*powers_and_spaces(lens, n), height, angle)
+    heights, angles = paraxial_ray(*powers_and_thicknesses(lens, n), height, angle)
     (y, yb), (nu, nub) = heights.unbind(-1), angles[:-1].unbind(-1)
     c = vertex_curvature(lens)
     a, b = n[:-1] * c * y + nu, n[:-1] * c * yb + nub

@@ -26,7 +26,7 @@ def rays_at_stop(lens: Lens, rays: Rays, indices: Tensor, curved: bool = True) -
 
     Returns:
         The rays, z from the vertex of the stop, differentiable like `trace`. A ray that misses a surface or is totally
-        reflected has its status and stays at its last point.
+        internally reflected has its status and stays at its last point.
     """
     stop = lens.stop
     shape = {name: getattr(lens, name)[:stop] for name in ("curvature", "conic", "alpha", "thickness")}

@@ -12,6 +12,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop, sobol_disc
 from tasklens.optics.analysis.spots import (
     centroid,
+    chief_points,
     chief_rays,
     chief_scale,
     distortion,
@@ -103,8 +104,8 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
     tilt. `focus_..._um` is the parabasal focus along z from the image plane. The Seidel sums are totals at the edge of
     the pupil and the largest field. A figure that refers to a lost chief ray is NaN.
 
-    An object at a finite distance adds `object_distance_mm`, `magnification` and `working_f_number`, and Airy radius
-    and cut-off refer to that F-number. Angles are measured at the centre of the entrance pupil.
+    An object at a finite distance adds `object_distance_mm`, `magnification` and the paraxial `working_f_number`, and
+    Airy radius and cut-off refer to that F-number. Angles are measured at the centre of the entrance pupil.
 
     Raises:
         InputError: the radius of the stop is not positive and finite, or the lens forms no real image of the object.
@@ -153,7 +154,7 @@ def _nyquist(view: View) -> float:
 def _by_field(lens: Lens, view: View, rays: int) -> dict:
     pupil = sobol_disc(rays, seed=0)
     traced, chief_ray = trace_fields(lens, view, pupil), chief_rays(lens, view)
-    middle, chief = centroid(traced), torch.cat([chief_ray.x[:, 0], chief_ray.y[:, 0]], -1)
+    middle, chief = centroid(traced), chief_points(lens, view)  # where windows are, also if apertures stop the ray
     offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
     inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch_um / 2e3)
     quarter_and_half = (_nyquist(view) / 4, _nyquist(view) / 2)

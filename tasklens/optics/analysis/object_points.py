@@ -13,7 +13,7 @@ The object point follows the entrance pupil when the lens changes, in derivative
 import torch
 from torch import Tensor
 
-from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, powers_and_spaces
+from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray, powers_and_thicknesses
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View
@@ -121,7 +121,7 @@ def _convergence(lens: Lens, view: View) -> Tensor:
     """Compute -n' u' of the paraxial ray from the axial object point to a height of 1 [1/mm]; raises InputError."""
     index = lens.refractive_indices((view.reference,))[:, 0]
     one = torch.ones((), dtype=lens.dtype)
-    heights, angles = paraxial_ray(*powers_and_spaces(lens, index), one, index[0] * view.object_vergence * one)
+    heights, angles = paraxial_ray(*powers_and_thicknesses(lens, index), one, index[0] * view.object_vergence * one)
     if not float((heights[-1] / angles[-1]).detach()) < 0:
         raise InputError(f"object at {view.object_distance:g} mm: the lens forms no real image of it; move it away")
     return -angles[-1]

@@ -47,21 +47,24 @@ def vertex_curvature(lens: Lens) -> Tensor:
     return lens.curvature + (2 * lens.alpha[:, 0] if lens.alpha.shape[1] else 0)
 
 
-def powers_and_spaces(lens: Lens, indices: Tensor) -> tuple[Tensor, Tensor]:
-    """Compute the powers and spaces of a lens, with refractive indices (S + 1,) before it and behind each surface.
+def powers_and_thicknesses(lens: Lens, indices: Tensor) -> tuple[Tensor, Tensor]:
+    """Compute powers and reduced thicknesses, with refractive indices (S + 1,) before it and behind each surface.
 
     Returns:
-        (S,) powers of the surfaces, (n' - n) (c + 2 alpha_2) [1/mm]; (S,) reduced spaces behind them, t / n [mm].
+        (S,) powers of the surfaces, (n' - n) (c + 2 alpha_2) [1/mm]; (S,) reduced thicknesses behind them, t / n
+        [mm].
     """
     return (indices[1:] - indices[:-1]) * vertex_curvature(lens), lens.thickness / indices[1:]
 
 
-def paraxial_ray(power: Tensor, space: Tensor, height: Tensor, reduced_angle: Tensor) -> tuple[Tensor, Tensor]:
+def paraxial_ray(
+    power: Tensor, reduced_thickness: Tensor, height: Tensor, reduced_angle: Tensor
+) -> tuple[Tensor, Tensor]:
     """Trace paraxial rays through all surfaces: n' u' = n u - y phi, y_next = y + n' u' t / n'.
 
     Args:
-        power, space: (S, ...) powers phi of the surfaces, and reduced spaces behind them; the last space is not used.
-            They may be of several lenses if they broadcast with the rays.
+        power, reduced_thickness: (S, ...) powers phi of the surfaces, and reduced thicknesses t / n behind them; the
+            last one is not used. They may be of several lenses if they broadcast with the rays.
         height: y [mm] at the first vertex, any shape.
         reduced_angle: n u in front of the lens, of the same shape.
 
@@ -71,7 +74,7 @@ def paraxial_ray(power: Tensor, space: Tensor, height: Tensor, reduced_angle: Te
     heights, angles = [], [reduced_angle]
     for i in range(len(power)):
         if i > 0:
-            height = height + angles[-1] * space[i - 1]
+            height = height + angles[-1] * reduced_thickness[i - 1]
         heights.append(height)
         angles.append(angles[-1] - height * power[i])
     return torch.stack(heights), torch.stack(angles)
@@ -82,7 +85,7 @@ def paraxial(lens: Lens, wavelength: float) -> Paraxial:
     n = lens.refractive_indices((wavelength,))[:, 0]
     # Two rays, from (y, n u) = (1, 0) and (0, 1), form the matrix (A B; C D) from the first vertex to every other.
     unit = torch.eye(2, dtype=lens.dtype)
-    heights, angles = paraxial_ray(*powers_and_spaces(lens, n), *unit)
+    heights, angles = paraxial_ray(*powers_and_thicknesses(lens, n), *unit)
     height, angle = heights[-1, 0], angles[-1, 0]
     a, b = heights[lens.stop]
     # A ray through the centre of the stop has a y0 + b u0 = 0 and crosses the axis at z = -y0 / u0 = b / a.

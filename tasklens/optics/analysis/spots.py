@@ -19,7 +19,7 @@ from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
 _LIGHT = 64  # rays per field for the test whether any light arrives
-_RIM = 64  # number of marginal rays for semi-diameters
+_RIM = 64  # number of rim rays for semi-diameters
 _NEAR_AXIS = 1e-4  # field angle [rad] of chief rays near the axis
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
 OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and chief rays

@@ -162,6 +162,8 @@ def read_prescription(
     if suffix == ".zmx":
         return zemax.read(path, catalogues, configuration), {}
     if suffix in (".yaml", ".yml"):
+        if configuration not in (None, 1):
+            raise FileError(f"{path}: expected a configuration 1 .. 1, got {configuration} (--configuration)")
         source, content = prescription.read(path)
         consistency.check_keys(content, path)
         check_radius(source, path)

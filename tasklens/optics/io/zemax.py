@@ -15,6 +15,7 @@ from typing import Any
 from tasklens.materials.catalogues import catalogues_in_folder, write_agf
 from tasklens.materials.library import Library
 from tasklens.materials.zemax_text import Line, decimal, read_lines
+from tasklens.optics.analysis.aiming import stop_is_inside
 from tasklens.optics.io.prescription import FIELDS, Prescription, check_order
 from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.io.zemax_configurations import in_configuration
@@ -241,6 +242,8 @@ def _lines(prescription: Prescription, name: str, glasses: NamedGlasses) -> list
         "UNIT MM X W X CM MR CPMM",
     ]
     lines += [aperture, "ENVD 20 1 0", *([f"GCAT {' '.join(glasses.catalogues)}"] if glasses.catalogues else [])]
+    if stop_is_inside(lens):
+        lines += ["RAIM 0 2 1 1 0 0 0 0 0"]  # real rays fill the real stop, as in all our figures
     lines += [f"FTYP {FIELDS.index(kind)} 0 {len(points)} {len(wavelengths)} 0 0 0 {len(points)}"]
     lines += [f"{axis} {' '.join(decimal(point[i]) for point in points)}" for i, axis in enumerate(("XFLN", "YFLN"))]
     lines += [f"FWGN{' 1' * len(points)}", *(f"{key}{zeros}" for key in ("VDXN", "VDYN", "VCXN", "VCYN", "VANN"))]

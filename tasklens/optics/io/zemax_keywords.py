@@ -13,14 +13,14 @@ def keywords(text: str) -> frozenset[str]:
 
 SYSTEM = keywords(
     "MODE NAME UNIT ENPD FNUM FLOA OBNA ENVD GFAC GCAT FTYP XFLN YFLN XFLD YFLD FENF FEFD WAVM WAVL WAVN PWAV MNUM "
-    "VDXN VDYN VCXN VCYN WWGN"
+    "VDXN VDYN VCXN VCYN WWGN WWGT"
 )
 SURFACE = keywords("STOP COMM TYPE CURV PARM XDAT DISZ GLAS CONI DIAM CLAP FLAP")
 
 # Weights of fields, ray aiming, polarisation, names of files, settings of analyses and displays.
 _HARMLESS_SYSTEM = keywords(
     "! AUTH BLNK CHZH COFN DBDT EERA FCOM FSVY FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE NSCD OMMA PFIL PICB "
-    "POLS PUSH RAIM ROPD SDMA STUD TOL VANN VERS WWGT XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
+    "POLS PUSH RAIM ROPD SDMA STUD TOL VANN VERS XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
 )
 # Solves and variables (the file has their values), coatings, colours, drawing, mechanical radii, tolerances.
 SOLVES = keywords("CHZH EDGE MAZH PPAR PZUP")

@@ -132,8 +132,9 @@ def ignored_data(system: Mapping[str, Line]) -> list[str]:
     factors = [system[keyword] for keyword in ("VDXN", "VDYN", "VCXN", "VCYN") if keyword in system]
     if any(line.number(i) for line in factors for i in range(min(fields, len(line.words)))):
         remarks.append("vignetting factors are ignored: light fills the stop at every field, apertures vignette")
-    if "WWGN" in system:
-        weights = {system["WWGN"].number(i) for i in range(min(colours, len(system["WWGN"].words)))}
+    listed = system.get("WWGN", system.get("WWGT"))
+    if listed is not None:
+        weights = {listed.number(i) for i in range(min(colours, len(listed.words)))}
     else:
         lines = (system[f"WAVM {i}"] for i in range(1, colours + 1) if f"WAVM {i}" in system)
         weights = {line.number(2) for line in lines if len(line.words) > 2}

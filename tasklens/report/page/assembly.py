@@ -148,13 +148,13 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "configuration": settings.configuration,
         "configuration_link": pictures.of_text(settings.configuration),
     }
-    folder = resources.files(__package__)
-    names = {"css": "page.css", "js": "page.js"}  # whole names, which `pipeline.digest` looks for
-    parts = {key: (folder / name).read_text(encoding="utf-8") for key, name in names.items()}
+    script = (resources.files(__package__) / "page.js").read_text(encoding="utf-8")
     environment = Environment(
         loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
     )
-    return environment.get_template("page.html").render(sections, plotly=get_plotlyjs(), **parts)
+    return environment.get_template("page.html").render(
+        sections, plotly=get_plotlyjs(), css=pictures.style_sheet(), js=script
+    )
 
 
 def _draw_answer(path: Path, settings: ReportJob, files: PageFiles) -> None:

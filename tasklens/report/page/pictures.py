@@ -2,6 +2,7 @@
 
 import base64
 import io
+from importlib import resources
 from pathlib import Path
 
 import numpy
@@ -16,6 +17,11 @@ _TYPES = {
     ".agf": "application/octet-stream",
 }
 _QUALITY = 82  # of WebP
+
+
+def style_sheet() -> str:
+    """Return the style sheet of the pages."""
+    return (resources.files(__package__) / "page.css").read_text(encoding="utf-8")
 
 
 def link(path: Path) -> str:
