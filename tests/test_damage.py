@@ -122,7 +122,7 @@ def in_a_fork(call) -> str:
 @pytest.mark.parametrize("kind", ["text", "rows", "tensors", "checkpoint", "array"])
 def test_a_file_that_does_not_fit_is_named_and_leaves_nothing(tmp_path, kind):
     def array():
-        with files.writing_array(tmp_path / "large", (100, 100), "uint8") as pixels:
+        with files.writing_array(tmp_path / "large", (100, 100)) as pixels:
             pixels[:] = 1
 
     checkpoint = Checkpoint(tmp_path / "large")

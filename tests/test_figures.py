@@ -93,7 +93,8 @@ def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
     """PNG, SVG and PDF, without a date; the SVG contains text, the PNG an image."""
     for folder in ("first", "second"):
         (tmp_path / folder).mkdir()
-        figures.draw([tmp_path / folder / f"lens.{kind}" for kind in ("png", "svg", "pdf")], [panel])
+        paths = [tmp_path / folder / f"lens.{kind}" for kind in ("png", "svg", "pdf")]
+        figures.save(figures.figure_of([panel]), paths)
     for kind in ("png", "svg", "pdf"):
         first, second = ((tmp_path / folder / f"lens.{kind}").read_bytes() for folder in ("first", "second"))
         assert first == second, kind

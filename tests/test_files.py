@@ -67,12 +67,12 @@ def test_two_writers_of_one_file_do_not_mix(tmp_path):
 def test_an_array_remains_if_the_user_interrupts(tmp_path):
     """A conversion of photographs resumes after Ctrl-C; after an error it starts anew."""
     for error, remains in ((KeyboardInterrupt, True), (ValueError, False)):
-        with pytest.raises(error), files.writing_array(tmp_path / "array.npy", (2,), "uint8") as array:
+        with pytest.raises(error), files.writing_array(tmp_path / "array.npy", (2,)) as array:
             array[:] = 5
             raise error
         assert files.resumable_of(tmp_path / "array.npy").exists() == remains
         if remains:
-            with files.writing_array(tmp_path / "array.npy", (2,), "uint8", begun=True) as array:
+            with files.writing_array(tmp_path / "array.npy", (2,), begun=True) as array:
                 assert array.tolist() == [5, 5]
             assert files.map_array(tmp_path / "array.npy").tolist() == [5, 5]
 

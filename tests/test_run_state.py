@@ -87,11 +87,11 @@ def test_the_time_left_adds_up(place):
     benchmark("table/a", 4)
     assert runs.headline([(run, durations())]) == "0 of 3 jobs, more than 2.0 s left"
     benchmark("design/a", 100)
-    assert run.seconds_left(durations()) == pytest.approx(102)
+    assert runs.seconds_left([(run, durations())]) == pytest.approx(102)
     assert runs.headline([(run, durations())]) == "0 of 3 jobs, about 2 min left"
     run.begin("design/0")
     run.jobs["design/0"].began -= 40.0
-    assert run.seconds_left(durations()) == pytest.approx(82, abs=1)
+    assert runs.seconds_left([(run, durations())]) == pytest.approx(82, abs=1)
     run.end("design/0", runs.FAILED)
     assert runs.headline([(run, durations())]) == "0 of 3 jobs, 1 failed, about 52 s left"
 
@@ -101,7 +101,7 @@ def test_the_longest_running_job_keeps_the_others_waiting(place):
     run = run_of(design=1)
     run.begin("design/0")
     write(f"{FOLDER}/progress/design/0.json", json.dumps({"updated": time.time() - 10, "remaining_s": 310.0}))
-    assert run.seconds_left(durations()) == pytest.approx(300, abs=2)
+    assert runs.seconds_left([(run, durations())]) == pytest.approx(300, abs=2)
     assert runs.headline([(run, durations())]) == "0 of 1 jobs, about 5 min left"
 
 

@@ -11,7 +11,7 @@ from rules import finish, outputs
 from tasklens.report import verification
 from tasklens.study import tables
 from tasklens.study.loading import parse
-from tasklens.study.names import SHARP, restored
+from tasklens.study.names import SHARP, measured
 
 FIELDS, IMAGES = 9, 40
 LENS = "singlet-imaging1"
@@ -190,7 +190,7 @@ def test_captures_that_are_recognised_otherwise(study):
     def lose_one(frame):
         frame.loc[1, "field3"] = 0
 
-    edit(second_predictions(study, LENS, restored("small")), lose_one)
+    edit(second_predictions(study, LENS, measured("small", True)), lose_one)
     assert failures(study) == [
         f"{LENS} seed 0: small-restored: stored predictions: 0.0028 of the captures differ",
         f"{LENS} seed 0: small-restored: metrics: 0.0028 of the captures differ",

@@ -3,15 +3,13 @@
 Only commands that need torch import it.
 """
 
-import sys
-
 import typer
 from typer.main import get_command
 
 from tasklens.cli import captures, design, lens, rank, study
 from tasklens.cli.lens_options import lens_command
 from tasklens.cli.schema import schema
-from tasklens.runtime.job import reporting_errors, user_error
+from tasklens.runtime.job import exit_status, run_program
 
 app = typer.Typer(
     invoke_without_command=True,
@@ -52,20 +50,8 @@ def _sentence(command: typer.main.TyperCommand) -> str:
 def main(argv: list[str] | None = None) -> int:
     """Run one command; return exit status 2 for a user error, 1 for a failed verification, else 0.
 
-    As a program, without `argv`, it does not return: the process ends without freeing every object, because that takes
-    longer than some jobs. All files are complete by then.
+    As a program, without `argv`, it does not return (see `run_program`).
     """
     if argv is None:
-        with reporting_errors(None):
-            app(prog_name="tasklens")
-    try:
-        app(args=argv, prog_name="tasklens")
-    except SystemExit as end:
-        return end.code if isinstance(end.code, int) else int(end.code is not None)
-    except Exception as error:
-        message = user_error(error)
-        if message is None:
-            raise
-        print(f"tasklens: {message}", file=sys.stderr)
-        return 2
-    return 0
+        run_program(lambda: app(prog_name="tasklens"), None)
+    return exit_status(lambda: app(args=argv, prog_name="tasklens"))

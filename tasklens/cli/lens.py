@@ -87,11 +87,12 @@ def draw(
     force: Force = False,
 ) -> None:
     """Draw lenses one above the other: cross-section with rays, spots, PSFs, ray fans, MTF, distortion."""
-    from tasklens.report import drawing
+    from tasklens.report import drawing, figures
 
     new_file(output, force, ".png", ".svg", ".pdf")
     lenses = {name: read(path) for name, path in _named(files).items()}
-    drawing.draw(output, {name: (lens.lens, lens.view) for name, lens in lenses.items()}, rays)
+    figure = drawing.figure({name: (lens.lens, lens.view) for name, lens in lenses.items()}, rays)
+    figures.save(figure, [output])
     say(f"wrote {output}")
 
 

@@ -1,18 +1,15 @@
 """What commands print and write: tables, JSON, and files that are not overwritten by accident."""
 
-import json
-import math
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
+from pydantic_core import to_json
 
+from tasklens.materials.material import Material
 from tasklens.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from tasklens.materials.material import Material
 
 Force = Annotated[bool, typer.Option("--force", help="Overwrite the output file.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print JSON, for programs.")]
@@ -35,7 +32,7 @@ def new_catalogue(path: Path, force: bool) -> None:
     new_file(path.with_suffix(".agf"), force, ".agf")
 
 
-def say_catalogue(path: Path, media: Sequence["Material"]) -> None:
+def say_catalogue(path: Path, media: Sequence[Material]) -> None:
     """Say which glasses the catalogue of a written Zemax file has, if it needed one."""
     from tasklens.optics.io.zemax_glasses import NamedGlasses
 
@@ -46,17 +43,9 @@ def say_catalogue(path: Path, media: Sequence["Material"]) -> None:
 
 def print_json(content: Any) -> None:
     """Print JSON; numbers that are not finite become null."""
-    print(json.dumps(_finite(content), indent=2))
+    print(to_json(content, indent=2, inf_nan_mode="null").decode())
 
 
 def say(text: str) -> None:
     """Print a message for the user on standard error; standard output is for results."""
     print(f"tasklens: {text}", file=sys.stderr)
-
-
-def _finite(content: Any) -> Any:
-    if isinstance(content, dict):
-        return {key: _finite(value) for key, value in content.items()}
-    if isinstance(content, list | tuple):
-        return [_finite(value) for value in content]
-    return None if isinstance(content, float) and not math.isfinite(content) else content

@@ -178,7 +178,7 @@ def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> 
     disk_mb, unweighed = planning.disk_mb(study, planned)
     return {
         "study": study.name,
-        "changed": [str(change) for change in _changes(study)],
+        "changed": [str(change) for change in changes.since_last_run(study)],
         "jobs": {rule: {k: v for k, v in asdict(jobs).items() if k != "files"} for rule, jobs in planned.items()},
         "seconds": seconds / cores,
         "memory_mb": planning.memory_mb(planned, durations),
@@ -208,12 +208,6 @@ def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str,
 
 def _but(unknown: list[str]) -> str:
     return f", not counting {', '.join(unknown)}, which are not measured yet" if unknown else ""
-
-
-def _changes(study: Study) -> list[changes.Change]:
-    """Return the values changed since the last run of the study; none before the first run."""
-    stored = Path("results", study.name, "study.yaml")
-    return changes.changes(loading.read(stored), loading.resolved(study)) if stored.exists() else []
 
 
 def _folder(place: Path) -> Path:
@@ -249,7 +243,7 @@ def status(place: Place, as_json: AsJson = False) -> None:
 def _state(run: runs.Run) -> dict[str, Any]:
     """Return the state of a run, for JSON."""
     running = {label: run.progress(label) for label in run.labels(runs.RUNNING)}
-    left = run.seconds_left(Durations(run.study, run.folder))
+    left = runs.seconds_left([(run, Durations(run.study, run.folder))])
     return asdict(run) | {"alive": run.is_alive, "seconds_left": left, "progress": running}
 
 

@@ -10,7 +10,6 @@ and c + C d the linearised violation of the limits: a Gauss-Newton metric as in 
 Levenberg-Marquardt. A gradient g that presses against a limit holds it violated by about g / w.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -71,11 +70,13 @@ class LinearModel:
         def change(log_mu: float) -> Tensor:
             return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
 
-        def small(log_mu: float) -> bool:
-            delta = change(log_mu)
-            return float(delta @ self.metric @ delta) <= step_size**2
-
-        return change(_bisect(small))
+        low, high = -12.0, 8.0  # of the decadic logarithm of mu
+        while high - low > 1e-3:
+            middle = (low + high) / 2
+            delta = change(middle)
+            is_small = float(delta @ self.metric @ delta) <= step_size**2
+            low, high = (low, middle) if is_small else (middle, high)
+        return change(high)
 
 
 class RaySpace:
@@ -159,11 +160,3 @@ def _repaired(lens: Lens, view: View, limits: Constraints, free: Free | None) ->
             least, best = model.violation_norm, vector
     lens = space.lens(best)
     return lens, space.merit.clear_semi_diameters(lens)
-
-
-def _bisect(holds: Callable[[float], bool], low: float = -12.0, high: float = 8.0) -> float:
-    """Find by bisection, within 1e-3, the value above which `holds` is true."""
-    while high - low > 1e-3:
-        middle = (low + high) / 2
-        low, high = (low, middle) if holds(middle) else (middle, high)
-    return high

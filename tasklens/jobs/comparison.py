@@ -26,7 +26,7 @@ def run(
     lens_of = dict(zip(settings.lenses, lenses, strict=True))
     psf_of = dict(zip(settings.lenses, psfs, strict=True))
     panels = [figures.panel(lens, lens_of[lens], psf_of[lens]) for lens in compared(settings, metrics)]
-    figures.draw([figure, figure_svg, figure_pdf], panels)
+    figures.save(figures.figure_of(panels), [figure, figure_svg, figure_pdf])
 
 
 def compared(settings: ComparisonJob, metrics: Sequence[Path]) -> list[str]:

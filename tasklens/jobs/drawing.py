@@ -8,4 +8,4 @@ from tasklens.study.report_jobs import DrawingJob
 
 def run(settings: DrawingJob, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
     """Draw the lens as PNG, SVG and PDF."""
-    figures.draw([figure, figure_svg, figure_pdf], [figures.panel(settings.lens, lens, psf)])
+    figures.save(figures.figure_of([figures.panel(settings.lens, lens, psf)]), [figure, figure_svg, figure_pdf])

@@ -1,7 +1,6 @@
 """A lens and a sensor in front of a network, for a user's own training loop."""
 
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
@@ -17,11 +16,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.sensor import noise
-from tasklens.study.settings import Constraints
-
-if TYPE_CHECKING:
-    from tasklens.study.settings import SensorSettings
-
+from tasklens.study.settings import Constraints, SensorSettings
 
 _FORMAT = 2.0  # of the state: parameters are changes
 _SAME = 1e-6  # relative difference of numbers of the same lens, computed on two machines
@@ -64,7 +59,7 @@ class Camera(nn.Module):
         rays: int = 1024,
         colour: str | None = None,
         outside_window: str = "veil",
-        sensor: "SensorSettings | None" = None,
+        sensor: SensorSettings | None = None,
     ):
         super().__init__()
         check_capture(colour, outside_window, sensor)

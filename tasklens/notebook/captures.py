@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import torch
 from torch import Tensor
 
+from tasklens.imaging import PsfCamera, check_capture
 from tasklens.notebook.lenses import psf
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import has_light
@@ -14,9 +15,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.recognition.image_tensor import Image, image_tensor
 from tasklens.runtime.errors import InputError
-
-if TYPE_CHECKING:
-    from tasklens.study.settings import SensorSettings
+from tasklens.study.settings import SensorSettings
 
 
 def simulate(
@@ -27,7 +26,7 @@ def simulate(
     *,
     colour: str | None = None,
     outside_window: str = "veil",
-    sensor: "SensorSettings | None" = None,
+    sensor: SensorSettings | None = None,
     rays: int = 4096,
     diffraction: bool = False,
 ) -> Tensor:
@@ -54,8 +53,6 @@ def simulate(
     Example:
         >>> captures = tasklens.simulate("cat.jpg", lens, view, fields=[(0, 0), (1.7, 1.0)])
     """
-    from tasklens.imaging import PsfCamera, check_capture
-
     source = image_tensor(image)
     check_capture(colour, outside_window, sensor)
     if fields is not None:
@@ -103,7 +100,6 @@ def simulate_sensor(
     Example:
         >>> capture = tasklens.simulate_sensor("cat.jpg", lens, view)  # 1080 x 1920: a quarter of a minute
     """
-    from tasklens.imaging import check_capture
     from tasklens.simulation.blend import capture
     from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 

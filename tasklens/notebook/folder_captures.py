@@ -2,7 +2,6 @@
 
 from collections import Counter
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 
@@ -18,9 +17,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
 from tasklens.sensor import noise
-
-if TYPE_CHECKING:
-    from tasklens.study.settings import SensorSettings
+from tasklens.study.settings import SensorSettings
 
 FIELDS = "fields.csv"  # of the captures
 _BLOCK = 64  # photographs in memory
@@ -35,7 +32,7 @@ def capture_folder(
     field: int | None = None,
     seed: int = 0,
     colour: str | None = None,
-    sensor: "SensorSettings | None" = None,
+    sensor: SensorSettings | None = None,
     rays: int = 4096,
 ) -> int:
     """Write a capture of each photograph of a folder, entirely at one field, as PNG, in the same subfolders.

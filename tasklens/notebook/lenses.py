@@ -5,9 +5,10 @@ import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
+from matplotlib.figure import Figure
 from torch import Tensor
 
 from tasklens.materials.catalogues import is_ours
@@ -23,14 +24,12 @@ from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
+from tasklens.report import drawing
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import positive
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specification: Any) -> tuple[Lens, View]:
@@ -121,7 +120,7 @@ def _paths(catalogues: str | Path | Sequence[str | Path]) -> list[Path]:
     return [Path(path) for path in ([catalogues] if isinstance(catalogues, str | Path) else catalogues)]
 
 
-def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> "Figure":
+def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     """Draw a lens: cross-section with rays, spots, PSFs, ray fans, MTF, field curvature, distortion.
 
     Args:
@@ -134,8 +133,6 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> "Figure":
     Example:
         >>> tasklens.draw(lens, view).savefig("lens.pdf")
     """
-    from tasklens.report import drawing
-
     return drawing.figure({title: (lens, view)}, rays)
 
 

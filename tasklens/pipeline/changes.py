@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from tasklens.pipeline.forecast import Durations, duration
-from tasklens.study.loading import resolved
+from tasklens.study.loading import read, resolved
 from tasklens.study.study import Study
 
 COUNTED = {  # expensive results, by rule; results derived from them are overwritten without asking
@@ -62,6 +62,12 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") ->
         elif before != after:
             diffs.append(Change(name, before, after))
     return diffs
+
+
+def since_last_run(study: Study) -> list[Change]:
+    """Return the values changed since the last run of a study; none before the first run."""
+    stored = Path("results", study.name, "study.yaml")
+    return changes(read(stored), resolved(study)) if stored.exists() else []
 
 
 def _by_number(value: Any) -> Any:
@@ -139,8 +145,7 @@ def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
     by_values = finished_labels & _with_dependents(changed_settings, jobs)
     by_code = finished_labels & _with_dependents(changed_code, jobs) - by_values
     others = finished_labels - by_values - by_code
-    stored = Path("results", study.name, "study.yaml")
-    diffs = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study)) if stored.exists() else []
+    diffs = since_last_run(study)
     if not diffs:  # the results come from an earlier study of the same name
         diffs = [change for label in sorted(changed_settings) for change in changes(*changed_settings[label])]
     return Overwritten(
@@ -157,13 +162,9 @@ def unrecorded(study: Study, jobs: Iterable[PlannedJob]) -> str | None:
     Args:
         jobs: all jobs that the targets need, also those that do not have to run.
     """
-    stored = Path("results", study.name, "study.yaml")
     unknown = [job for job in jobs if job.rule in COUNTED and job.outputs and not job.remains and job.made_with is None]
-    if not unknown or not stored.exists():
-        return None
-    all_changes = changes(yaml.safe_load(stored.read_text(encoding="utf-8")), resolved(study))
-    diffs = [change for change in all_changes if not _is_addition(change)]
-    if not diffs:
+    diffs = [change for change in since_last_run(study) if not _is_addition(change)]
+    if not unknown or not diffs:
         return None
     return "\n".join(
         [

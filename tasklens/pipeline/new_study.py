@@ -16,6 +16,7 @@ from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
+from tasklens.study.effort import effort
 from tasklens.study.layers import merged_settings
 from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.loading import parse
@@ -199,16 +200,9 @@ def _depth(study: Study, lens: str) -> int:
 
 def _jobs_of_a_seed(study: Study) -> dict[str, int]:
     contents = paper_tables.tables(study)
-    lenses = dict.fromkeys(lens for table in contents for lens in table.lenses)
-    waiting = list(lenses)
-    while waiting:
-        lens = waiting.pop()
-        sources = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)} - lenses.keys()
-        lenses |= dict.fromkeys(sources)
-        waiting += sources
     pairs = {pair for table in contents for pair in table.measured} | {(names.SHARP, study.supervisor)}
     return {
-        "design": len(lenses),
+        "design": len(effort(study).efforts),
         "fine_tune": len(pairs),
         "restore": len({lens for table in contents if table.restored for lens in table.lenses}),
     }

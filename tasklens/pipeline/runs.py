@@ -82,10 +82,6 @@ class Run:
         """Return whether the run is still going, as far as this machine can tell."""
         return self.ended is None and (self.host != socket.gethostname() or psutil.pid_exists(self.pid))
 
-    def seconds_left(self, durations: Durations) -> float | None:
-        """Return the duration of the remaining jobs on the run's cores [s]; None if no duration is known."""
-        return seconds_left([(self, durations)])
-
     def known_seconds(self, durations: Durations) -> tuple[list[float], list[float]]:
         """Return the remaining times of waiting and of running jobs [s]; leave out jobs of unknown duration."""
         waiting = [durations.seconds(self.jobs[label].rule) for label in self.labels(WAITING)]
@@ -124,10 +120,6 @@ class Run:
             words.append(f"silent for {duration(silent)}")
         return "  ".join(words)
 
-    def is_underestimated(self, durations: Durations) -> bool:
-        """Return whether some waiting jobs have an unknown duration."""
-        return any(durations.seconds(self.jobs[label].rule) is None for label in self.labels(WAITING))
-
 
 def seconds_left(pairs: Sequence[tuple[Run, Durations]]) -> float | None:
     """Return the duration of the remaining jobs of concurrent runs on their cores [s]; None if no duration is known."""
@@ -145,7 +137,8 @@ def headline(pairs: Sequence[tuple[Run, Durations]]) -> str:
     left = seconds_left(pairs)
     if left is None:
         return line
-    more = any(run.is_underestimated(durations) for run, durations in pairs)
+    waiting = [(run.jobs[label], durations) for run, durations in pairs for label in run.labels(WAITING)]
+    more = any(durations.seconds(job.rule) is None for job, durations in waiting)
     return f"{line}, {'more than ' if more else 'about '}{duration(left)} left"
 
 

@@ -135,7 +135,7 @@ def _rendered(count: int, seed: int, images: ImageSettings) -> ImageDataset:
 
 def write(dataset: ImageDataset, images: Path, labels: Path) -> None:
     """Write a split: images as .npy (N, 3, H, W) uint8, labels and names of the classes as JSON."""
-    with writing_array(images, tuple(dataset.images.shape), "uint8") as array:
+    with writing_array(images, tuple(dataset.images.shape)) as array:
         array[:] = dataset.images.numpy()
     _write_labels(dataset, labels)
 

@@ -80,7 +80,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
         return
     resume = resumable_of(path).exists() and part.step > 0
     shape = (len(listing), 3, size, size)
-    with writing_array(path, shape, "uint8", resume) as array, ThreadPoolExecutor(threads) as pool:
+    with writing_array(path, shape, resume) as array, ThreadPoolExecutor(threads) as pool:
 
         def block(first: int) -> int:
             files = listing.files[first : first + _BLOCK]

@@ -61,14 +61,10 @@ def unpacked(bits: Tensor, size: Sequence[int]) -> Tensor:
 
 
 def boxes(masks: Tensor) -> Tensor:
-    """Return boxes (K, 4) of masks (K, H, W): left, top, right, bottom edge [pixels]; raises ValueError."""
-    edges = torch.zeros(len(masks), 4)
-    for k, mask in enumerate(masks):
-        rows, columns = mask.any(1).nonzero()[:, 0], mask.any(0).nonzero()[:, 0]
-        if not len(rows):
-            raise ValueError(f"mask {k} is empty")
-        edges[k] = torch.tensor([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1])
-    return edges
+    """Return boxes (K, 4) of masks (K, H, W): left, top, right, bottom edge [pixels]."""
+    from torchvision.ops import masks_to_boxes
+
+    return masks_to_boxes(masks) + torch.tensor([0, 0, 1, 1])
 
 
 def semantic(labels: Tensor, masks: Tensor) -> Tensor:
@@ -81,7 +77,7 @@ def semantic(labels: Tensor, masks: Tensor) -> Tensor:
 
 def write(dataset: ObjectDataset, images: Path, objects: Path) -> None:
     """Write a split: images as .npy, objects as .safetensors."""
-    with writing_array(images, tuple(dataset.images.shape), "uint8") as array:
+    with writing_array(images, tuple(dataset.images.shape)) as array:
         array[:] = dataset.images.numpy()
     tensors = {"owner": dataset.owner, "labels": dataset.labels, "masks": dataset.masks}
     write_tensors(objects, tensors, {"classes": list(dataset.classes)})

@@ -72,16 +72,13 @@ def average_precision(
             )
         ]
 
-    annotations = entries(true)
-    if not annotations:
-        raise ValueError("expected at least one true object")
     with redirect_stdout(StringIO()):  # pycocotools prints its progress
         truth, answer = COCO(), COCO()
         common = {
             "images": [{"id": k, "height": 0, "width": 0} for k in range(len(true))],  # encoded masks have sizes
             "categories": [{"id": label} for label in range(classes)],
         }
-        truth.dataset = common | {"annotations": annotations}
+        truth.dataset = common | {"annotations": entries(true)}
         answer.dataset = common | {"annotations": entries(detections)}
         truth.createIndex()
         answer.createIndex()

@@ -89,7 +89,7 @@ def fit(
     Raises:
         FloatingPointError: the loss, or a weight after the last step, is not finite.
     """
-    share = group.share(training.batch_size)
+    share = group.share
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(dataset) / training.batch_size)) if training.epochs else 0

@@ -1,7 +1,6 @@
 """Drawings of lenses without study files; figures and PSFs are computed."""
 
 from collections.abc import Mapping
-from pathlib import Path
 
 from matplotlib.figure import Figure
 
@@ -10,15 +9,10 @@ from tasklens.optics.analysis.spots import clear_semi_diameters, evaluation_psf
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.report.figures import Panel, figure_of, panel_of, save
+from tasklens.report.figures import Panel, figure_of, panel_of
 
 _RIM = 1.02  # radius of a surface without clear aperture, as a multiple of the illuminated radius
 _COLOURS = 3  # most wavelengths that a panel can show
-
-
-def draw(path: Path, lenses: Mapping[str, tuple[Lens, View]], rays: int) -> None:
-    """Draw lenses (by title) one above the other; the suffix of `path` is the format."""
-    save(figure(lenses, rays), [path])
 
 
 def figure(lenses: Mapping[str, tuple[Lens, View]], rays: int) -> Figure:

@@ -99,11 +99,6 @@ def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) 
     return Panel(title, lens, view, psf, figures, rays, chief_points(lens, view))
 
 
-def draw(paths: Sequence[Path], panels: Sequence[Panel]) -> None:
-    """Draw one lens, or several one above the other; write a file for each path, in the format of its suffix."""
-    save(figure_of(panels), paths)
-
-
 def figure_of(panels: Sequence[Panel]) -> Figure:
     """Return the figure of one lens, or of several one above the other."""
     mm = min(float(panel.lens.thickness.sum()) for panel in panels)

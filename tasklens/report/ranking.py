@@ -185,6 +185,7 @@ def make(
         metrics, predicted: measurements of `settings.measured_keys`.
         built: built lenses of `settings.built_keys`.
     """
+    facts = settings.facts
     measured = dict(zip((SHARP, *settings.lenses), predicted, strict=True))
     correct = {lens: predictions.read(path) for lens, path in measured.items()}
     sharp = float(100 * correct.pop(SHARP).to_numpy().mean())
@@ -192,22 +193,22 @@ def make(
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
     means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}
-    losses = {lens: _built(path) for lens, path in zip(settings.built, built, strict=True)}
+    losses = {lens: _built(path) for lens, path in zip(facts.built, built, strict=True)}
     rows = []
     for rank in ranks:
         content = contents[rank.lens][1]
-        columns = row(rank, settings.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
+        columns = row(rank, facts.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
         if "zero_shot_accuracy" in means[rank.lens]:
             columns["among_all"] = means[rank.lens]["zero_shot_accuracy"]
-        columns |= {"mtf_mean": settings.mtf[rank.lens]} if rank.lens in settings.mtf else {}
+        columns |= {"mtf_mean": facts.mtf[rank.lens]} if rank.lens in facts.mtf else {}
         rows.append(columns | losses.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
     count = len(next(iter(correct.values())))
     note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count)
-    answer = sentences(ranks, settings.titles)
-    answer += [text for text in [sieve(ranks, settings.mtf, settings.sieved)] if text is not None]
-    left_out = [f"- {name}: {why}" for name, why in settings.left_out.items()]
+    answer = sentences(ranks, facts.titles)
+    answer += [text for text in [sieve(ranks, facts.mtf, settings.sieved)] if text is not None]
+    left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
     publish(csv, md, "Which lens for this network?", table, below)
     drawings = {
@@ -215,7 +216,7 @@ def make(
         for lens, (prescribed, content) in contents.items()
     }
     words = {"title": f"Which lens for {settings.model}?", "images": count, "sharp": sharp, "tuned": tuned}
-    words |= {"left_out": settings.left_out, "grade": settings.grade.replace("_", " ")}
+    words |= {"left_out": facts.left_out, "grade": settings.grade.replace("_", " ")}
     write_text(page, render(ranks, rows, drawings, answer, **words))
 
 

@@ -34,7 +34,7 @@ def claim_several(number: int) -> list[torch.device]:
     """Claim several GPUs, for a process group; without GPUs, return the CPU as often.
 
     Raises:
-        InputError: fewer GPUs are visible, or the number of jobs per GPU is not a positive integer.
+        InputError: the number of jobs per GPU is not a positive integer.
     """
     count = torch.cuda.device_count()
     if count == 0:
@@ -42,8 +42,6 @@ def claim_several(number: int) -> list[torch.device]:
     value = os.environ.get(JOBS_PER_GPU, "1")
     if not (value.isdecimal() and int(value)):
         raise InputError(f"{JOBS_PER_GPU}={value}: expected a positive integer")
-    if number > count:
-        raise InputError(f"{number} processes need one GPU each, but {count} are visible; lower `processes`")
     if number > 1:  # two groups that claim GPUs at the same time could deadlock
         wait_until(lambda: _lock("several"), "another process group that is claiming GPUs")
     names = [torch.cuda.get_device_properties(index).uuid for index in range(count)]

@@ -27,16 +27,9 @@ class ProcessGroup:
         """True in the first process, which writes the files."""
         return self.rank == 0
 
-    def share(self, batch: int) -> slice:
-        """Return the slice of the `batch` images of a step for this process.
-
-        Raises:
-            InputError: shares differ in size; the mean of their gradients would not be that of the batch.
-        """
-        if batch % self.size:
-            raise InputError(
-                f"fine_tuning.batch_size: {batch} is not a multiple of the {self.size} processes of a classifier"
-            )
+    @property
+    def share(self) -> slice:
+        """Slice of the images of a step for this process; `processes` divides `fine_tuning.batch_size`."""
         return slice(self.rank, None, self.size)
 
     def wrap(self, network: nn.Module) -> nn.Module:

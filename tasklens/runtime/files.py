@@ -204,10 +204,8 @@ def write_tensors(path: Path, tensors: Mapping[str, "torch.Tensor"], metadata: M
 
 
 @contextmanager
-def writing_array(
-    path: Path, shape: tuple[int, ...], dtype: str, begun: bool = False
-) -> Iterator["numpy.memmap[Any, Any]"]:
-    """Yield a writable memory map of a .npy file, for arrays larger than memory; only one process may write a file.
+def writing_array(path: Path, shape: tuple[int, ...], begun: bool = False) -> Iterator["numpy.memmap[Any, Any]"]:
+    """Yield a writable map of a .npy file of uint8, for arrays larger than memory; only one process may write a file.
 
     Args:
         begun: continue the temporary file of a killed process, and keep its values.
@@ -219,11 +217,11 @@ def writing_array(
 
     with replacing(path, resumable_of(path)) as temporary:
         if not begun:
-            size = numpy.dtype(dtype).itemsize * math.prod(shape)
+            size = math.prod(shape)
             free = shutil.disk_usage(temporary.parent).free  # on a full disk, writing to the map kills the process
             if free < size:
                 raise FileError(f"{path}: needs {size / 1e6:.1f} MB, but the disk has {free / 1e6:.1f} MB free")
-        array = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", dtype, shape)
+        array = numpy.lib.format.open_memmap(temporary, "r+" if begun else "w+", "uint8", shape)
         yield array
         array.flush()
 

@@ -11,7 +11,7 @@ from contextlib import contextmanager, nullcontext
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
 from tasklens.runtime import job_lock
 from tasklens.runtime.errors import InputError
@@ -19,7 +19,6 @@ from tasklens.runtime.files import remove_abandoned
 from tasklens.runtime.progress_file import progress_file
 
 Paths = str | Sequence[str]
-JOB = "settings of a job"  # context of the validation of settings
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt(3)
 
 
@@ -71,7 +70,7 @@ def _call(
     with _imported(function) as call:
         kinds = get_type_hints(call)
         parameters = list(signature(call).parameters)
-        job_settings = kinds[parameters[0]].model_validate_json(settings, context=JOB)
+        job_settings = kinds[parameters[0]].model_validate_json(settings, extra="ignore")  # computed fields
         arguments: dict[str, Any] = {name: _paths(paths, kinds[name]) for name, paths in inputs.items()}
         arguments |= {name: Path(path) for name, path in outputs.items()}
         if "checkpoint" in parameters:
@@ -79,12 +78,11 @@ def _call(
         call(job_settings, **arguments)
 
 
-@contextmanager
-def reporting_errors(log: Path | None) -> Iterator[None]:
-    """End the program after the block: with status 2 and one line for a user error, else with status 0.
+def run_program(program: Callable[[], object], log: Path | None) -> NoReturn:
+    """Run a program, and end the process with its `exit_status`.
 
-    Freed memory stays with the process. The program ends without freeing every object, since that takes longer than
-    some jobs; all files are complete by then.
+    Freed memory stays with the process. It ends without freeing every object, since that takes longer than some jobs;
+    all files are complete by then.
 
     Args:
         log: file for standard error; None: standard error stays as it is.
@@ -94,20 +92,25 @@ def reporting_errors(log: Path | None) -> Iterator[None]:
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "w") as file:
             os.dup2(file.fileno(), sys.stderr.fileno())
-    status = 0
+    status = exit_status(program)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(status)
+
+
+def exit_status(program: Callable[[], object]) -> int:
+    """Run a program; return 2 for a user error, which is printed in one line, the status of an exit, else 0."""
     try:
-        yield
+        program()
     except SystemExit as end:
-        status = end.code if isinstance(end.code, int) else int(end.code is not None)
+        return end.code if isinstance(end.code, int) else int(end.code is not None)
     except Exception as error:
         message = user_error(error)
         if message is None:
             raise
         print(f"tasklens: {message}", file=sys.stderr)
-        status = 2
-    sys.stdout.flush()
-    sys.stderr.flush()
-    os._exit(status)
+        return 2
+    return 0
 
 
 def user_error(error: Exception) -> str | None:

@@ -147,11 +147,11 @@ def lenses_with_keys(study: Study) -> list[tuple[str, LensEntry]]:
 def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     design = lens.design
     kernel_size = study.lens_spec(lens.name).kernel_size
-    for key, size in lens.sizes.items():
-        if not kernel_size // 2 < size <= study.images.size:
+    for k, descent in enumerate(lens.descents):
+        if descent.size is not None and not kernel_size // 2 < descent.size <= study.images.size:
             raise ValueError(
-                f"{where}.{key}: expected more than half of spec.kernel_size = {kernel_size} and at most images.size = "
-                f"{study.images.size}, got {size}"
+                f"{where}.descents.{k}.size: expected more than half of spec.kernel_size = {kernel_size} and at most "
+                f"images.size = {study.images.size}, got {descent.size}"
             )
     if isinstance(design, ImportedLens) and kernel_size // 2 >= study.images.size:
         raise ValueError(

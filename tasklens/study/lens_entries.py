@@ -107,12 +107,6 @@ class LensEntry(Frozen):
         return any(descent.criterion != "spot" for descent in self.descents)
 
     @property
-    def sizes(self) -> dict[str, int]:
-        """Sides to which images are resized [pixels], by the key of the design."""
-        sides = {f"descents.{k}.size": descent.size for k, descent in enumerate(self.descents)}
-        return {key: side for key, side in sides.items() if side is not None}
-
-    @property
     def constrained(self) -> bool:
         """True if the lens has to keep the constraints and the focal length, which verification checks.
 

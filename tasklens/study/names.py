@@ -5,14 +5,9 @@ SHARP = "sharp"  # used in place of a lens name for measurements on the sharp im
 _RESTORED = "-restored"
 
 
-def restored(classifier: str) -> str:
-    """Return the measured name of a classifier on restored captures."""
-    return f"{classifier}{_RESTORED}"
-
-
 def measured(name: str, on_restored: bool) -> str:
     """Return the measured name of a classifier, or of the captures of a lens, restored or not."""
-    return restored(name) if on_restored else name
+    return f"{name}{_RESTORED}" if on_restored else name
 
 
 def split(measured_name: str) -> tuple[str, bool]:

@@ -1,7 +1,7 @@
 """Settings of the ranking of lenses for a network; no torch here."""
 
 from tasklens.study.names import SHARP
-from tasklens.study.settings import Frozen
+from tasklens.study.settings import Frozen, RankingSettings
 from tasklens.study.study import Study
 from tasklens.study.tables import LensKey, MeasuredKey, table
 
@@ -14,12 +14,9 @@ class RankingJob(Frozen):
         classifier: name of the network.
         model: its name in timm, or its function.
         lenses: names of the lenses.
-        titles: display names of lenses, by lens.
-        left_out: lenses that are not measured, with the reason.
-        mtf: mean MTF by lens, the score of the sieve, including the lenses that it left out.
+        facts: the section `ranking` of the study; its `mtf` includes the lenses that the sieve left out.
         sieved: lenses that the sieve left out.
-        built: lenses that are built in simulation.
-        grade: their tolerance grade.
+        grade: tolerance grade of the lenses that are built in simulation.
         epochs: epochs of fine-tuning of the network on each lens.
         seed: seed of the study.
     """
@@ -28,11 +25,8 @@ class RankingJob(Frozen):
     classifier: str
     model: str
     lenses: tuple[str, ...]
-    titles: dict[str, str]
-    left_out: dict[str, str]
-    mtf: dict[str, float]
+    facts: RankingSettings
     sieved: tuple[str, ...]
-    built: tuple[str, ...]
     grade: str
     epochs: float
     seed: int
@@ -40,17 +34,14 @@ class RankingJob(Frozen):
     @classmethod
     def of(cls, study: Study) -> "RankingJob":
         """Return the settings of the job."""
-        ranking, lenses = study.ranking, study.lenses
+        lenses = study.lenses
         return cls(
             study=study.name,
             classifier=study.supervisor,
             model=study.classifier(study.supervisor).model,
             lenses=table(study, "table1").lenses,
-            titles=ranking.titles,
-            left_out=ranking.left_out,
-            mtf=ranking.mtf,
-            sieved=tuple(name for name in ranking.mtf if name not in lenses),
-            built=ranking.built,
+            facts=study.ranking,
+            sieved=tuple(name for name in study.ranking.mtf if name not in lenses),
             grade=study.tolerances.grade.name,
             epochs=study.fine_tuning.epochs,
             seed=study.seeds[0],
@@ -69,4 +60,4 @@ class RankingJob(Frozen):
     @property
     def built_keys(self) -> list[LensKey]:
         """Lenses that are built in simulation."""
-        return [LensKey(lens, self.seed) for lens in self.built]
+        return [LensKey(lens, self.seed) for lens in self.facts.built]

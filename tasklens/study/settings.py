@@ -9,14 +9,12 @@ from pydantic import (
     BaseModel,
     ConfigDict,
     Field,
-    ValidationInfo,
     computed_field,
     field_validator,
     model_validator,
 )
 
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.job import JOB
 from tasklens.study import user_code
 from tasklens.study.quantities import (
     Angle,
@@ -38,14 +36,6 @@ class Frozen(BaseModel):
     """Base class of all settings: immutable, unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
-
-    @model_validator(mode="before")
-    @classmethod
-    def _as_recorded(cls, values: Any, info: ValidationInfo) -> Any:
-        """Leave out computed fields of a job's settings: only Snakemake needs them, to compare settings."""
-        if info.context != JOB or not isinstance(values, dict):
-            return values
-        return {key: value for key, value in values.items() if key not in cls.model_computed_fields}
 
 
 class Spec(Frozen):
@@ -278,3 +268,12 @@ class CaptureSettings(Frozen):
         if isinstance(values, dict) and values.get("sensor") is not None and "colour" not in values:
             return values | {"colour": "linear"}
         return values
+
+
+class RankingSettings(Frozen):
+    """Facts of the lenses of a study that `tasklens rank` adds to their files."""
+
+    titles: dict[str, str] = Field({}, description="Display names of lenses, by lens.")
+    left_out: dict[str, str] = Field({}, description="Lenses that are not measured, with the reason.")
+    mtf: dict[str, float] = Field({}, description="Mean MTF of lenses, by which the sieve chose them.")
+    built: tuple[str, ...] = Field((), description="Lenses to build in simulation.")

@@ -19,7 +19,6 @@ from tasklens.study.design_settings import (
 from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.messages import in_words
 from tasklens.study.quantities import Name, Rays, Seed, StudyName
-from tasklens.study.ranking_settings import RankingSettings
 from tasklens.study.restoration_settings import RestorationSettings
 from tasklens.study.settings import (
     CaptureSettings,
@@ -27,6 +26,7 @@ from tasklens.study.settings import (
     Constraints,
     Frozen,
     ImageSettings,
+    RankingSettings,
     Spec,
     TrainingSettings,
 )

@@ -3,7 +3,7 @@
 import sys
 from pathlib import Path
 
-from tasklens.runtime.job import reporting_errors, run
+from tasklens.runtime.job import run, run_program
 
 group = []
 if (processes := snakemake.params.get("processes", 1)) > 1:  # this script again, in each process of a group
@@ -16,13 +16,13 @@ if (processes := snakemake.params.get("processes", 1)) > 1:  # this script again
         __real_file__,
     ]
 
-with reporting_errors(Path(snakemake.log[0])):
-    run(
-        snakemake.params.function,
-        snakemake.params.settings,
-        snakemake.params.code,
-        dict(snakemake.input.items()) | dict(snakemake.params.get("unawaited", {})),
-        dict(snakemake.output.items()),
-        Path(snakemake.log[0]),
-        group,
-    )
+arguments = (
+    snakemake.params.function,
+    snakemake.params.settings,
+    snakemake.params.code,
+    dict(snakemake.input.items()) | dict(snakemake.params.get("unawaited", {})),
+    dict(snakemake.output.items()),
+    Path(snakemake.log[0]),
+    group,
+)
+run_program(lambda: run(*arguments), Path(snakemake.log[0]))
