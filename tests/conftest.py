@@ -34,15 +34,19 @@ def spot_lens(start):
 
 # The longest tests, with which two processes begin: otherwise the last of them would leave one process idle.
 LONGEST = (
+    "test_examples.py",
     "test_docs.py",
     "test_ranking.py",
-    "test_examples.py",
     "test_workflow_runs.py",
+    "test_workflow.py",
+    "test_checkpoints.py",
     "test_finished.py",
     "test_structure.py",
-    "test_checkpoints.py",
+    "test_compiled.py",
     "test_cli.py",
+    "test_new_study.py",
     "test_simulation.py",
+    "test_module.py",
     "test_task_design.py",
     "test_benchmarks.py",
 )

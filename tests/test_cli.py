@@ -78,8 +78,6 @@ def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):
     assert (done.returncode, done.stdout) == (0, "tiny: 6 lenses, 2 classifiers, seeds [0]\n")
     done = subprocess.run([*program, "study", "check", "absent.yaml"], capture_output=True, text=True)
     assert done.returncode == 2 and "absent.yaml" in done.stderr
-    done = subprocess.run([*program, "bake"], capture_output=True, text=True)
-    assert done.returncode == 2 and "bake" in done.stderr
 
 
 def test_every_design_leaves_a_readable_lens(lenses):

@@ -8,7 +8,7 @@ from examples import f64, make_lens, materials
 from tasklens.optics.analysis.shapes import shapes
 from tasklens.report import manufacturability
 
-COC, OKP4, AIR = materials("COC", "OKP4", "air")
+COC, AIR = materials("COC", "air")
 
 
 def asphere(curvature: float, alpha_4: float, semi_diameter: float = 1.0):

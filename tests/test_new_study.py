@@ -13,7 +13,7 @@ from study_command import complaint, study
 from typer.testing import CliRunner
 
 from tasklens.cli.app import app
-from tasklens.pipeline import new_study
+from tasklens.pipeline import new_study, planning
 from tasklens.pipeline.digest import SNAKEFILE
 from tasklens.study.loading import load, parse
 
@@ -24,6 +24,12 @@ ROOT = Path(__file__).parents[1]
 def place(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     return tmp_path
+
+
+@pytest.fixture
+def unplanned(monkeypatch):
+    """A study is cut by the forecast alone, without a dry run of Snakemake."""
+    monkeypatch.setattr(planning, "plan", lambda files, target: {})
 
 
 def test_a_new_study_follows_its_options(place, capsys):
@@ -41,7 +47,7 @@ def test_a_new_study_follows_its_options(place, capsys):
     assert out.splitlines()[0].partition("about ")[2] in text and text.count("\n# ") > 8
 
 
-def test_a_new_study_asks_for_what_was_not_given(place):
+def test_a_new_study_asks_for_what_was_not_given(place, unplanned):
     """An empty answer takes the default; the command does not ask about values given as options."""
     answers = ["", "", "triplet", "3.5", "", "1", "45"]
     result = CliRunner().invoke(app, ["study", "new", "asked"], input="\n".join(answers) + "\n")
@@ -55,8 +61,7 @@ def test_a_new_study_asks_for_what_was_not_given(place):
     assert result.exit_code == 0 and "Seeds" not in result.output and "F-number" not in result.output
 
 
-@pytest.mark.slow
-def test_less_time_gives_a_smaller_study(place):
+def test_less_time_gives_a_smaller_study(place, unplanned):
     """Each shorter time gives fewer jobs or images."""
     sizes = []
     for minutes in ("600", "8", "5", "3"):
@@ -66,8 +71,7 @@ def test_less_time_gives_a_smaller_study(place):
     assert sizes == sorted(sizes, reverse=True) and len(set(sizes)) >= 3
 
 
-@pytest.mark.slow
-def test_a_new_study_of_photographs(place):
+def test_a_new_study_of_photographs(place, unplanned):
     """The network starts from published weights, and the images have its size."""
     for path in (f"photos/{s}/{c}/{k}.jpg" for s in ("train", "test") for c in ("cat", "dog") for k in range(400)):
         write(path, "")
@@ -177,7 +181,7 @@ def test_zero_cores_are_refused(capsys, command):
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_a_new_study_overwrites_nothing(place, capsys):
+def test_a_new_study_overwrites_nothing(place, capsys, unplanned):
     """The command overwrites a file only on request."""
     write("a.yaml", "mine")
     assert "--force" in complaint(capsys, "new", "a", "--yes")

@@ -291,8 +291,9 @@ def test_forward_mode(name):
     """Along random changes of each parameter of the lens, and of all start values: to 1e-10 of the largest element."""
     lens, start = CASES[name]()
     values = parameters(lens, start)
-    lens_and_indices = [(k,) for k in values if k not in VALUES and values[k].numel()]
-    for changing in (*lens_and_indices, VALUES):
+    lens_and_indices = [k for k in values if k not in VALUES and values[k].numel()]
+    groups = [lens_and_indices] if name == "steep" else [[k] for k in lens_and_indices]  # its reference is slow
+    for changing in (*groups, VALUES):
         tangents = {k: random_like(v, i) * (k in changing) for i, (k, v) in enumerate(values.items())}
 
         actual, expected = (

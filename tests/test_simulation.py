@@ -55,7 +55,7 @@ def noise(shape: tuple[int, int], seed: int) -> Tensor:
     return torch.rand(3, *shape, generator=torch.Generator().manual_seed(seed))
 
 
-def points(view, shape, pitch) -> Tensor:
+def points(shape, pitch) -> Tensor:
     """Points (H, W, 2) of the pixels of a sensor [mm]."""
     rows, columns = (((torch.arange(n) - (n - 1) / 2) * (pitch / 1e3)).double() for n in shape)
     return torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
@@ -68,7 +68,7 @@ def traced_from_every_pixel(lens, view, image: Tensor, pitch: float, lit: tuple[
     """
     height, width = image.shape[1:]
     out = torch.zeros(3, height * width, dtype=torch.float64)
-    at = replace(view, fields=points(view, (height, width), pitch)[lit].flatten(0, 1))
+    at = replace(view, fields=points((height, width), pitch)[lit].flatten(0, 1))
     rays, chief = trace_fields(lens, at, sobol_disc(RAYS, seed=0)), chief_points(lens, at)
     pixel = torch.stack(torch.meshgrid(*map(torch.arange, (height, width)), indexing="ij"), -1)[lit].flatten(0, 1)
     light = image[(slice(None), *lit)].flatten(1).T.double()[..., None] / (~rays.vignetted).sum(-1, keepdim=True)
@@ -207,7 +207,7 @@ def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_co
     shape, pitch = (97, 129), 220.0
     star = torch.zeros(3, *shape)
     star[:, 80, 110] = 1
-    field = points(view, shape, pitch)[80, 110]
+    field = points(shape, pitch)[80, 110]
     at = chief_points(lens, replace(view, fields=field[None]))[0] * (1e3 / pitch)
     spread = tasklens.simulate_sensor(star, lens, view, pitch, rays=RAYS, distortion=True)[1].clamp(min=0)
     straight = tasklens.simulate_sensor(star, lens, view, pitch, rays=RAYS)[1].clamp(min=0)
@@ -219,7 +219,7 @@ def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_co
     shift = (centre(spread) - centre(straight)).double()
     expected = at - field * (1e3 / pitch)
     assert expected.norm() > 0.3 and (shift - expected).norm() < 0.15
-    corner = points(view, shape, pitch)[2, 2].norm()
+    corner = points(shape, pitch)[2, 2].norm()
     expected_light = relative_illumination(lens, replace(view, fields=f64([[0, 0], [0, corner]])))
     for colour, within in (("linear", 0.02), ("srgb", 0.04)):  # the latter averages sRGB values of unequal light
         grey = torch.full((3, *shape), 0.8)

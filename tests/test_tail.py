@@ -18,8 +18,6 @@ from tasklens.optics.view import view_of_spec
 from tasklens.report.tails import publish_tails
 from tasklens.study.settings import Spec
 
-ORIGIN = f64([[0.0, 0.0]])
-
 
 def tail_of(monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.MISSED) -> tuple[dict, pandas.DataFrame]:
     """Tail and curve of one field whose rays land on `points` (N, 2) [um] about a chief ray at `centre` [um]."""

@@ -1,5 +1,6 @@
 """The study as a workflow: what a dry run plans, and what stops a study before its first job."""
 
+import json
 import re
 from collections import Counter
 
@@ -36,12 +37,17 @@ def test_every_study_plans_its_jobs(beside_config, name):
     for weights in filter(None, (classifier.weights for classifier in study.classifiers.values())):
         (beside_config / weights).parent.mkdir(parents=True, exist_ok=True)
         (beside_config / weights).touch()  # a user's own file
-    if study.sweep:
-        jobs = sum((Counter(expected(point)) for point in at_points(study)), Counter())
-        assert plan(beside_config, paths, "tables") == jobs | {"sweep_table": 1}
+    if study.sweep:  # two points of each key: the others differ in the same value
+        sweep = {key: values[:2] for key, values in study.sweep.items()}
+        points = at_points(study.model_copy(update={"sweep": sweep}))
+        jobs = sum((Counter(expected(point)) for point in points), Counter())
+        planned = plan(beside_config, paths, "tables", "--config", f"sweep={json.dumps(sweep)}")
+        assert planned == jobs | {"sweep_table": 1}
         return
-    assert plan(beside_config, paths, "tables") == expected(study)
-    if "extends" in read(STUDIES[name]):  # a study that is planned here
+    extends = "extends" in read(STUDIES[name])  # a study that is planned here
+    if extends or name not in LARGE:
+        assert plan(beside_config, paths, "tables") == expected(study)
+    if extends:
         return
     targets = ["tables", "verify", "figures", "certificates", "figure3", "figure4"]
     targets += ["ablations"] if study.ablations else []
