@@ -28,7 +28,7 @@ FRAME, TINY = (1080, 1920), (96, 128)
 
 def trace(lens: Lens, view: View, shape: tuple[int, int]) -> SensorPsfs:
     """PSFs over the sensor; 4096 rays each."""
-    return trace_sensor_psfs(lens, view, shape, pitch_on_sensor(view, shape), 64 if shape == TINY else 4096)
+    return trace_sensor_psfs(lens, view, shape, pitch_on_sensor(lens, view, shape), 64 if shape == TINY else 4096)
 
 
 def once(path: Path, shape: tuple[int, int]) -> tuple[float, float, float]:
