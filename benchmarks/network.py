@@ -15,7 +15,6 @@ import timing
 import timm
 import torch
 import torch.nn.functional as F
-from timm.optim import param_groups_weight_decay
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss
@@ -29,7 +28,7 @@ from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.recognition.training import fit
+from tasklens.recognition.training import fit, parameter_groups
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
@@ -112,7 +111,7 @@ def fine_tuning(network: nn.Module, batch: int, size: int, rounds: int, device: 
     training = TrainingSettings(epochs=(rounds + 1) / 4, learning_rate=1e-5, batch_size=batch)
     fit(classifier, dataset, training, 0, "fine-tuning", pipeline.one_field, clock)
     images, labels = dataset.batch(torch.arange(batch))
-    optimizer = torch.optim.AdamW(param_groups_weight_decay(classifier, 0.05), lr=1e-5)
+    optimizer = torch.optim.AdamW(parameter_groups(classifier, 0.05), lr=1e-5)
     classifier.train()
 
     def bare() -> None:

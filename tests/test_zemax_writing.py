@@ -79,10 +79,19 @@ def test_a_written_file_has_what_opticstudio_looks_for(tmp_path):
     assert f"FNUM {original.aperture[1]:.17g} 0" in lines  # 0: F-number in image space
     for start in ("VERS ", "MODE SEQ", "NAME T", "UNIT MM", "FTYP 0 0 5 3", "XFLN ", "YFLN ", "PWAV 2"):
         assert any(line.startswith(start) for line in lines), start
-    assert (original.lens.stop > 0) == any(line.startswith("RAIM 0 2 ") for line in lines)  # real rays to the stop
     assert [line for line in lines if line.startswith("SURF")] == [f"SURF {i}" for i in range(8)]
     assert sum(line == "  STOP" for line in lines) == 1
     assert {line.split()[1] for line in lines if line.startswith("  TYPE")} == {"STANDARD", "EVENASPH", "XASPHERE"}
+
+
+def test_real_rays_fill_an_inner_stop(tmp_path):
+    """Ray aiming of a written file is Real (2) if a surface is in front of the stop."""
+    stops = {}
+    for seed in range(8):
+        original = random_prescription(seed)
+        zemax.write(tmp_path / "lens.zmx", original)
+        stops[original.lens.stop] = "RAIM 0 2 " in (tmp_path / "lens.zmx").read_text("latin-1")
+    assert len(stops) > 1 and all(is_aimed == (stop > 0) for stop, is_aimed in stops.items())
 
 
 @pytest.mark.parametrize(

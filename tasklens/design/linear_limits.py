@@ -115,9 +115,8 @@ class LinearLimits:
         lens, efl = self.lens, self.view.efl
         indices = lens.refractive_indices((self.view.reference,))[:, 0]
         unit = torch.eye(2, dtype=lens.dtype)
-        height, angle = (
-            v.mT for v in paraxial_ray(*powers_and_thicknesses(lens, indices), *unit)
-        )  # (2, S) and (2, S + 1)
+        heights, angles = paraxial_ray(*powers_and_thicknesses(lens, indices), *unit)
+        height, angle = heights.mT, angles.mT  # (2, S) and (2, S + 1)
         p, q = angle[:, -1]
         turn_effect = height[0] * q - height[1] * p  # effect of a unit change of angle at each surface
         shift_effect = angle[1, 1:] * p - angle[0, 1:] * q  # effect of a unit shift behind each surface
