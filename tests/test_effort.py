@@ -55,8 +55,8 @@ def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_pa
     rows = collect(efforts, tmp_path)
     assert rows["lenses_tried"].to_dict() == {"squares": 700, "spots": 30, "error": 5, "task": 3 * 10 + 5 + 2 + 4}
     assert rows["lenses_tried_in_all"].to_dict() == {"squares": 700, "spots": 30, "error": 705, "task": 746}
-    assert rows["core_minutes"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 4.5, "task": 6.5}
-    assert rows["core_minutes_in_all"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 8, "task": 14.5}
+    assert rows["wall_minutes"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 4.5, "task": 6.5}
+    assert rows["wall_minutes_in_all"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 8, "task": 14.5}
 
 
 def test_a_time_that_was_not_measured_is_a_gap(efforts, tmp_path):
@@ -66,5 +66,5 @@ def test_a_time_that_was_not_measured_is_a_gap(efforts, tmp_path):
         for lens in ("spots", "error", "task"):
             write_benchmark(tmp_path, f"singlet-{lens}", seed, 60)
     rows = collect(efforts, tmp_path)
-    assert math.isnan(rows.loc["squares", "core_minutes"]) and math.isnan(rows.loc["task", "core_minutes_in_all"])
-    assert rows.loc["spots", "core_minutes_in_all"] == 1.0
+    assert math.isnan(rows.loc["squares", "wall_minutes"]) and math.isnan(rows.loc["task", "wall_minutes_in_all"])
+    assert rows.loc["spots", "wall_minutes_in_all"] == 1.0

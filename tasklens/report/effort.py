@@ -17,7 +17,7 @@ GPU: the median of all seeds. A job that was interrupted counts from its last st
 lenses from which the start was chosen, without the fine-tunings that this choice needed."""
 
 
-def core_minutes(path: Path) -> float:
+def wall_minutes(path: Path) -> float:
     """Return the duration [min] from one of Snakemake's benchmark files; NaN if it has none.
 
     The duration is the wall time: Snakemake samples processor time every half minute and misses the last interval.
@@ -27,12 +27,12 @@ def core_minutes(path: Path) -> float:
 
 
 def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
-    """Return a row per lens: lenses tried and median core-minutes, alone and with all lenses it was chosen from.
+    """Return a row per lens: lenses tried and median wall time [min], alone and with all lenses it was chosen from.
 
     Args:
         benchmarks: benchmark files of the designs in `efforts.lens_keys`.
     """
-    by_key = dict(zip(efforts.lens_keys, map(core_minutes, benchmarks), strict=True))
+    by_key = dict(zip(efforts.lens_keys, map(wall_minutes, benchmarks), strict=True))
     minutes = {
         effort.lens: pandas.Series([by_key[LensKey(effort.lens, seed)] for seed in efforts.seeds]).median()
         for effort in efforts.efforts
@@ -46,9 +46,9 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
                 "elements": elements,
                 "design": design,
                 "lenses_tried": effort.tried,
-                "core_minutes": minutes[effort.lens],
+                "wall_minutes": minutes[effort.lens],
                 "lenses_tried_in_all": effort.tried_in_all,
-                "core_minutes_in_all": sum(minutes[lens] for lens in all_lenses),
+                "wall_minutes_in_all": sum(minutes[lens] for lens in all_lenses),
             }
         )
     return pandas.DataFrame(rows)

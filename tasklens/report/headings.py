@@ -86,8 +86,8 @@ HEADINGS = {
     "parameters_m": Heading("parameters", "M", ".1f"),
     "lenses_tried": Heading("evaluations", "", ".0f"),
     "lenses_tried_in_all": Heading("evaluations in all", "", ".0f"),
-    "core_minutes": Heading("time", "min", ".1f"),
-    "core_minutes_in_all": Heading("time in all", "min", ".1f"),
+    "wall_minutes": Heading("time", "min", ".1f"),
+    "wall_minutes_in_all": Heading("time in all", "min", ".1f"),
     "difference": Heading(
         "difference",
         "points",

@@ -17,7 +17,7 @@ _NOTE = """\
 Study `{study}`. Accuracy of the task-driven lens minus that of the best imaging lens, chosen for each seed by minival
 accuracy, with its 95 % interval. A difference is undecided if it is not significant at 5 % after Holm's correction
 for all rows; fewer than five seeds only suggest it. RMS spots and numbers of evaluations are means over seeds; the
-lenses from which the start was chosen are included (core-minutes: target `effort`)."""
+lenses from which the start was chosen are included (times: target `effort`)."""
 
 
 def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements) -> pandas.DataFrame:
