@@ -53,8 +53,8 @@ def test_a_design_counts_the_lenses_it_was_chosen_from_each_once(efforts, tmp_pa
         for lens, minutes in (("squares", 2), ("spots", 1), ("error", 3), ("task", 5)):
             write_benchmark(tmp_path, f"singlet-{lens}", seed, 60 * (minutes + seed))
     rows = collect(efforts, tmp_path)
-    assert rows["lenses_tried"].to_dict() == {"squares": 700, "spots": 30, "error": 5, "task": 3 * 10 + 5 + 2 + 4}
-    assert rows["lenses_tried_in_all"].to_dict() == {"squares": 700, "spots": 30, "error": 705, "task": 746}
+    assert rows["evaluations"].to_dict() == {"squares": 700, "spots": 30, "error": 5, "task": 3 * 10 + 5 + 2 + 4}
+    assert rows["evaluations_in_all"].to_dict() == {"squares": 700, "spots": 30, "error": 705, "task": 746}
     assert rows["wall_minutes"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 4.5, "task": 6.5}
     assert rows["wall_minutes_in_all"].to_dict() == {"squares": 3.5, "spots": 2.5, "error": 8, "task": 14.5}
 

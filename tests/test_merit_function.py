@@ -96,11 +96,11 @@ def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch, outsid
     paths = finish("merit_function_table", study)
     rows = pandas.read_csv(paths.csv).set_index("classifier")
     for name, band in (("small", 2), ("other", 5)):
-        weights = rows.loc[name].filter(like="to_")
-        assert weights.idxmax() == f"to_{BANDS[band + 1]:g}" and weights.max() == pytest.approx(4, abs=0.1)
+        weights = rows.loc[name].filter(like="weight_to_")
+        assert weights.idxmax() == f"weight_to_{BANDS[band + 1]:g}" and weights.max() == pytest.approx(4, abs=0.1)
         assert rows.loc[name, "r2"] > 0.999
-    assert rows.loc["small", "ranked_by_supervisor"] == pytest.approx(1, abs=1e-3)
-    assert 0.9 < rows.loc["other", "ranked_by_supervisor"] <= 1
+    assert rows.loc["small", "rank_correlation"] == pytest.approx(1, abs=1e-3)
+    assert 0.9 < rows.loc["other", "rank_correlation"] <= 1
     assert paths.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "small" in paths.md.read_text()
 
 

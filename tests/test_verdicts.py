@@ -316,10 +316,10 @@ def test_map_of_regimes():
     assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
     assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
     assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
-    assert rows["plastics"].to_dict() == {"doublet": 2, "triplet": 3}
+    assert rows["element_count"].to_dict() == {"doublet": 2, "triplet": 3}
     for elements in ("doublet", "triplet"):
-        assert rows["tried_task"][elements] == tried_in_all(study, f"{elements}-tasklens")
-        assert rows["tried_imaging"][elements] == tried_in_all(study, rows["baseline"][elements])
+        assert rows["evaluations_task"][elements] == tried_in_all(study, f"{elements}-tasklens")
+        assert rows["evaluations_imaging"][elements] == tried_in_all(study, rows["baseline"][elements])
     assert "doublet-imaging2" in paths.md.read_text()
 
 

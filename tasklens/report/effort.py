@@ -27,7 +27,7 @@ def wall_minutes(path: Path) -> float:
 
 
 def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
-    """Return a row per lens: lenses tried and median wall time [min], alone and with all lenses it was chosen from.
+    """Return a row per lens: evaluations and median wall time [min], alone and with all lenses it was chosen from.
 
     Args:
         benchmarks: benchmark files of the designs in `efforts.lens_keys`.
@@ -45,9 +45,9 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
             {
                 "elements": elements,
                 "design": design,
-                "lenses_tried": effort.tried,
+                "evaluations": effort.tried,
                 "wall_minutes": minutes[effort.lens],
-                "lenses_tried_in_all": effort.tried_in_all,
+                "evaluations_in_all": effort.tried_in_all,
                 "wall_minutes_in_all": sum(minutes[lens] for lens in all_lenses),
             }
         )

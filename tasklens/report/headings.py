@@ -37,9 +37,8 @@ HEADINGS = {
     "zero_shot_accuracy": Heading(
         "zero-shot accuracy", "%", ".1f", "max", meaning="Among all outputs of the network, without fine-tuning"
     ),
-    "among_all": Heading("among all outputs", "%", ".1f", "max"),
     "accuracy_median": Heading("median", "%", ".1f", "max", meaning="Median accuracy over seeds"),
-    "accuracy_best": Heading(
+    "accuracy_best_minival": Heading(
         "best seed by minival", "%", ".1f", "max", meaning="Accuracy of the seed with the best accuracy on minival"
     ),
     "reference_accuracy": Heading("sharp images", "%", ".1f", meaning="Accuracy on images without a lens"),
@@ -84,8 +83,8 @@ HEADINGS = {
         "chance lost",
     ),
     "parameters_m": Heading("parameters", "M", ".1f"),
-    "lenses_tried": Heading("evaluations", "", ".0f"),
-    "lenses_tried_in_all": Heading("evaluations in all", "", ".0f"),
+    "evaluations": Heading("evaluations", "", ".0f"),
+    "evaluations_in_all": Heading("evaluations in all", "", ".0f"),
     "wall_minutes": Heading("time", "min", ".1f"),
     "wall_minutes_in_all": Heading("time in all", "min", ".1f"),
     "difference": Heading(
@@ -108,10 +107,10 @@ HEADINGS = {
     "memory_mb": Heading("peak memory", "MB", ".0f"),
     "field_of_view_deg": Heading("field of view", "deg", ".1f"),
     "f_number": Heading("F-number", "", ".2f"),
-    "rms_task_um": Heading("RMS spot, task", "um", ".1f"),
-    "rms_imaging_um": Heading("RMS spot, imaging", "um", ".1f"),
-    "tried_task": Heading("evaluations, task", "", ".0f"),
-    "tried_imaging": Heading("evaluations, imaging", "", ".0f"),
+    "rms_spot_um_task": Heading("RMS spot, task", "um", ".1f"),
+    "rms_spot_um_imaging": Heading("RMS spot, imaging", "um", ".1f"),
+    "evaluations_task": Heading("evaluations, task", "", ".0f"),
+    "evaluations_imaging": Heading("evaluations, imaging", "", ".0f"),
     "frozen": Heading("frozen", "%", ".1f", "max", meaning="Score of the network that was trained on sharp images"),
     "tuned": Heading("tuned", "%", ".1f", "max", meaning="Score after fine-tuning on the captures of the lens"),
     "worst_field": Heading("worst field", "%", ".1f", "max", meaning="Score after fine-tuning at the worst field"),
@@ -136,8 +135,8 @@ HEADINGS = {
     "behind": Heading("behind", "points", ".1f", meaning="Accuracy of the best lens minus that of this one"),
     "behind_low": Heading("behind, from", "points", ".1f"),
     "behind_high": Heading("behind, to", "points", ".1f"),
-    "axis": Heading("axis", "%", ".1f"),
-    "corner": Heading("corner", "%", ".1f"),
+    "accuracy_axis": Heading("axis", "%", ".1f"),
+    "accuracy_corner": Heading("corner", "%", ".1f"),
     "built_lose": Heading("built lose", "points", ".1f"),
     "built_lose_95": Heading("95 of 100 lose less", "points", ".1f"),
 }

@@ -110,10 +110,10 @@ def _row(
     name: str, merit: MeritFunction, loss: numpy.ndarray, predicted: numpy.ndarray, ranking: numpy.ndarray
 ) -> dict[str, object]:
     """Return the row of a classifier."""
-    bands = {f"to_{high:g}": weight for high, weight in zip(BANDS[1:], merit.weights, strict=True)}
+    bands = {f"weight_to_{high:g}": weight for high, weight in zip(BANDS[1:], merit.weights, strict=True)}
     r2 = 1 - ((loss - predicted) ** 2).sum() / ((loss - loss.mean()) ** 2).sum()
     rank_correlation = pandas.Series(loss).corr(pandas.Series(ranking), method="spearman")
-    return {"classifier": name, **bands, "constant": merit.constant, "r2": r2, "ranked_by_supervisor": rank_correlation}
+    return {"classifier": name, **bands, "constant": merit.constant, "r2": r2, "rank_correlation": rank_correlation}
 
 
 def _draw(

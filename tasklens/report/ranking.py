@@ -199,7 +199,7 @@ def make(
         content = contents[rank.lens][1]
         columns = row(rank, facts.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
         if "zero_shot_accuracy" in means[rank.lens]:
-            columns["among_all"] = means[rank.lens]["zero_shot_accuracy"]
+            columns["zero_shot_accuracy"] = means[rank.lens]["zero_shot_accuracy"]
         columns |= {"mtf_mean": facts.mtf[rank.lens]} if rank.lens in facts.mtf else {}
         rows.append(columns | losses.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
@@ -231,8 +231,8 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
         "behind": rank.behind,
         "behind_low": rank.behind_low,
         "behind_high": rank.behind_high,
-        "axis": rank.by_field[0],
-        "corner": rank.by_field[-1],
+        "accuracy_axis": rank.by_field[0],
+        "accuracy_corner": rank.by_field[-1],
         "f_number": figures["f_number"],
         "field_of_view_deg": field_of_view_deg,
         "rms_spot_um": float(numpy.mean(figures["rms_centroid_um"])),

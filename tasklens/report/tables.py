@@ -112,7 +112,7 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
         if "failed" in columns:
             table.insert(1, "accuracy_median", groups["accuracy"].median())
             best = rows.dropna(subset="minival_accuracy").groupby(keys, sort=False)["minival_accuracy"].idxmax()
-            table.insert(2, "accuracy_best", rows.loc[best].set_index(keys)["accuracy"])
+            table.insert(2, "accuracy_best_minival", rows.loc[best].set_index(keys)["accuracy"])
         spread = groups[[c for c in columns if c not in ("failed", "worst_margin")]].std(ddof=1)
         table = table.join(spread.add_suffix(STD))
     table = table.reset_index()

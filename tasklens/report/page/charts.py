@@ -154,7 +154,7 @@ def regime_map(key: str, title: str, table: pandas.DataFrame) -> Chart | None:
     rows = table.dropna(subset=["difference"])
     if rows.empty:
         return None
-    grid = rows.pivot_table("difference", "plastics", "f_number").sort_index()
+    grid = rows.pivot_table("difference", "element_count", "f_number").sort_index()
     largest = max(1.0, float(rows["difference"].abs().max()))
     figure = go.Figure()
     figure.add_heatmap(
