@@ -137,13 +137,13 @@ def test_a_study_that_extends_nothing_is_refused(tmp_path, extends, words):
 def test_null_in_a_study_that_extends_another_removes_an_entry(tmp_path):
     """Of the sections with names, as in RFC 7386; alone, null is a mistake like any other."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
-    study = changed(study, "designs.tasklens.tolerances", "phone_moulding")
+    study = changed(study, "designs.tasklens.grade", "phone_moulding")
     below, above = tmp_path / "below.yaml", tmp_path / "above.yaml"
     write(below, yaml.safe_dump(study))
-    write(above, "{name: above, elements: {singlet: null}, designs: {imaging1: null, tasklens: {tolerances: null}}}")
+    write(above, "{name: above, elements: {singlet: null}, designs: {imaging1: null, tasklens: {grade: null}}}")
     merged = load(below, above)
     assert set(merged.lenses) == {f"doublet-{name}" for name in study["designs"] if name != "imaging1"}
-    assert merged.designs["tasklens"].tolerances is None
+    assert merged.designs["tasklens"].grade is None
     write(below, yaml.safe_dump(changed(study, "designs.imaging1", None)))
     with pytest.raises(StudyError, match=r"designs\.imaging1 = null: expected keys and values"):
         load(below)

@@ -66,7 +66,7 @@ def design(
         micro_batch = settings.micro_batch
         if measure.trained or settings.batch_norm == "batch":  # batch norms use the statistics of the whole step
             micro_batch = (part.batch_size or settings.batch_size) * len(problem.view.fields)
-        options = part.size, settings.augment, micro_batch, part.centre, settings.tolerances, part.corner_weight
+        options = part.size, settings.augment, micro_batch, part.centre, settings.grade, part.corner_weight
         return Supervisor(measure, problem, *options)
 
     def selection_loss(selector: Supervisor, lens: Lens) -> float:

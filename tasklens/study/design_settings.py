@@ -183,7 +183,7 @@ class GradientDesignSettings(Frozen):
         False,
         description="Keep the clear apertures of the start, and none elsewhere; false: they follow from the design.",
     )
-    tolerances: Grade | None = Field(
+    grade: Grade | None = Field(
         None,
         description="Tolerance grade to design for: each step uses a lens built from the design with errors of "
         "its own, and focused; null: the lens as designed.",
