@@ -6,7 +6,7 @@ The second term is the light outside the PSF window, modelled as a uniform veil,
 Borders are reflected. An optional sensor adds noise and quantises (`tasklens.sensor`).
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, get_args
 
 import torch
@@ -15,6 +15,7 @@ from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from scipy.fft import next_fast_len
 from torch import Tensor
 
+from tasklens.runtime.devices import send
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.first_derivative import FirstDerivative
 from tasklens.sensor import expose, noise
@@ -153,9 +154,9 @@ class PsfCamera:
 
     Args:
         psf: (F, 3, K, K) one PSF per field and colour (red, green, blue), K odd.
-        outside_window: "veil" as above, or "renormalise": PSFs of unit energy, without light outside the window.
         colour: convolution of sRGB values ("srgb", our interpretation of the paper) or of "linear" light; None: linear
             with a sensor, sRGB without one.
+        outside_window: "veil" as above, or "renormalise": PSFs of unit energy, without light outside the window.
         sensor: sensor; None: no noise and no quantisation.
         illumination: (F,) relative illumination of the fields, only with a sensor; None: 1 everywhere.
 
@@ -164,14 +165,15 @@ class PsfCamera:
 
     Example:
         >>> camera = tasklens.PsfCamera(tasklens.psf(lens, view).float())
-        >>> captures = camera(images, torch.tensor([0, 8]))  # images (2, 3, H, W): on the axis, in the corner
+        >>> captures = camera(images, [0, 8])  # images (2, 3, H, W): on the axis, in the corner
     """
 
     def __init__(
         self,
         psf: Tensor,
-        outside_window: str = "veil",
+        *,
         colour: str | None = None,
+        outside_window: str = "veil",
         sensor: SensorSettings | None = None,
         illumination: Tensor | None = None,
     ):
@@ -194,16 +196,22 @@ class PsfCamera:
         self._kernels: dict[tuple[int, int], Tensor] = {}
 
     @classmethod
-    def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor) -> "PsfCamera":
+    def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor | None) -> "PsfCamera":
         """Build the camera for capture settings, from the PSFs and relative illumination of a PSF file."""
-        light = None if capture.sensor is None else illumination
-        return cls(psf, capture.outside_window, capture.colour, capture.sensor, light)
+        return cls(
+            psf,
+            colour=capture.colour,
+            outside_window=capture.outside_window,
+            sensor=capture.sensor,
+            illumination=None if capture.sensor is None else illumination,
+        )
 
     @torch.compiler.disable
     def all_fields(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
 
-        `generator` draws the noise, image by image; without a generator, the noise is the same at every call.
+        Args:
+            generator: draws the noise, image by image; None: torch's default generator.
         """
         captures = []
         for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
@@ -215,29 +223,30 @@ class PsfCamera:
         if self.sensor is None:
             return self._developed(output)
         illumination = self.illumination[:, None].expand(output.shape[:2])
-        sample = noise(output.transpose(0, 1).shape, generator).transpose(0, 1)
+        sample = noise(output.transpose(0, 1).shape, generator or torch.default_generator).transpose(0, 1)
         return self._developed(output, illumination, sample)
 
     @torch.compiler.disable
-    def __call__(self, images: Tensor, fields: Tensor, noise: Tensor | None = None) -> Tensor:
-        """Render each image at one field: images (B, 3, H, W) in [0, 1], fields (B,) int64 to (B, 3, H, W).
+    def __call__(
+        self, images: Tensor, fields: Sequence[int] | Tensor | None = None, sample: Tensor | None = None
+    ) -> Tensor:
+        """Render each image at one field: images (B, 3, H, W) in [0, 1] to (B, 3, H, W).
 
-        A sensor needs `noise`: standard normal numbers in the shape of the images.
+        Args:
+            fields: (B,) index of the field of each image; None: random, from torch's default generator.
+            sample: (B, 3, H, W) standard normal numbers, the noise of the sensor; None: from torch's default generator.
 
         Raises:
-            InputError: a field that these PSFs do not have, or no noise for a sensor, or noise without one.
+            InputError: a field that these PSFs do not have, or a sample without a sensor.
         """
         order: list[int] = []  # image indices sorted by field, an even number per field
         runs = []
+        fields = field_indices(fields, len(images), len(self.psf))
         numbers = fields.tolist()
-        if not all(0 <= number < len(self.psf) for number in numbers):
-            raise InputError(
-                f"fields: expected indices from 0 to {len(self.psf) - 1}, got {min(numbers)} to {max(numbers)}"
-            )
-        if self.sensor is not None and noise is None:
-            raise InputError("noise: expected standard normal numbers in the shape of the images, for the sensor")
-        if self.sensor is None and noise is not None:
-            raise InputError("noise: only for a camera with a `sensor`")
+        if self.sensor is None and sample is not None:
+            raise InputError("sample: only for a camera with a `sensor`")
+        if self.sensor is not None and sample is None:
+            sample = noise(images.shape, torch.default_generator)
         for field in sorted(set(numbers)):
             indices = [image for image, other in enumerate(numbers) if other == field]
             start = len(order) // 2
@@ -246,15 +255,15 @@ class PsfCamera:
         captures = self._render(images[order].unflatten(0, (-1, 2)), runs).flatten(0, 1)
         position = {image: place for place, image in enumerate(order)}
         output = captures[[position[image] for image in range(len(images))]]
-        return self._developed(output, self.illumination[fields], noise)
+        return self._developed(output, self.illumination[send(fields, output.device)], sample)
 
-    def _developed(self, output: Tensor, illumination: Tensor | None = None, noise: Tensor | None = None) -> Tensor:
+    def _developed(self, output: Tensor, illumination: Tensor | None = None, sample: Tensor | None = None) -> Tensor:
         """Return the sRGB values of convolved images: as they are, encoded, or exposed and quantised by the sensor."""
         if self.sensor is None:
             return linear_rgb_to_rgb(output) if self.linear else output
-        assert illumination is not None and noise is not None
+        assert illumination is not None and sample is not None
         light = output if self.linear else rgb_to_linear_rgb(output.clamp(0, 1))
-        return expose(light, self.sensor, illumination, noise.to(output))
+        return expose(light, self.sensor, illumination, sample.to(output))
 
     def _render(self, images: Tensor, runs: list[_Run]) -> Tensor:
         """Convolve pairs of images (P, 2, 3, H, W) to (N, 2, 3, H, W), in the order of the runs, in their colour space.
@@ -281,6 +290,25 @@ class PsfCamera:
             kernels = torch.cat([torch.fft.fft2(block, size, norm="forward") for block in blocks])
             self._kernels[size] = kernels.unflatten(0, self.psf.shape[:2])
         return _Convolution.apply(spectra, means, self.psf, runs, (height, width), self._kernels[size])
+
+
+def field_indices(fields: Sequence[int] | Tensor | None, images: int, count: int) -> Tensor:
+    """Return the index (B,) of the field of each of B images, int64; None: random, from torch's default generator.
+
+    Raises:
+        InputError: not one index from 0 to `count` - 1 for each image.
+    """
+    if fields is None:
+        return torch.randint(count, (images,))
+    indices = torch.as_tensor(fields)
+    if (
+        indices.is_floating_point()
+        or indices.dtype == torch.bool
+        or indices.shape != (images,)
+        or not ((indices >= 0) & (indices < count)).all()
+    ):
+        raise InputError(f"fields: expected an index from 0 to {count - 1} for each of {images} images")
+    return indices.long()
 
 
 def check_capture(colour: str | None, outside_window: str = "veil", sensor: SensorSettings | None = None) -> None:

@@ -9,9 +9,9 @@ from torch import Tensor
 from tasklens.study.settings import SensorSettings
 
 
-def noise(shape: Sequence[int], generator: torch.Generator | None = None) -> Tensor:
-    """Return standard normal numbers; without a generator, always the same numbers."""
-    return torch.randn(tuple(shape), generator=generator or torch.Generator().manual_seed(0))
+def noise(shape: Sequence[int], generator: torch.Generator) -> Tensor:
+    """Return standard normal numbers."""
+    return torch.randn(tuple(shape), generator=generator)
 
 
 def expose(light: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:

@@ -8,6 +8,7 @@ from examples import difference, f64
 from torch import nn
 
 import tasklens
+from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.runtime.errors import InputError
 from tasklens.study.settings import SensorSettings
 
@@ -126,6 +127,21 @@ def test_a_lens_without_light_is_refused(lens):
         tasklens.Camera(dark, lens[1])
     with pytest.raises(InputError, match="dark: no light arrives at the field"):
         tasklens.rank({"dark": (dark, lens[1])}, [(torch.rand(3, 32, 32), k) for k in (0, 1)], nn.Flatten())
+
+
+def test_fixed_psfs_are_called_like_a_lens(lens, images):
+    """Fields by number or at random, and the noise, are drawn alike from torch's default generator."""
+    sensor = SensorSettings(full_well=100)
+    camera = tasklens.Camera(*lens, rays=64, sensor=sensor)
+    light = relative_illumination(lens[0], lens[1])
+    fixed = tasklens.PsfCamera(tasklens.psf(*lens, rays=64).float(), sensor=sensor, illumination=light)
+    for capture in (lambda c: c(images), lambda c: c(images, [8, 0, 3, 8]), lambda c: c.all_fields(images)):
+        captures = []
+        for either in (camera, fixed, fixed):
+            torch.manual_seed(len(captures) // 2)  # the third has other random numbers
+            captures.append(capture(either))
+        torch.testing.assert_close(captures[0], captures[1], rtol=0, atol=1 / 255 + 1e-6)
+        assert not torch.equal(captures[1], captures[2])
 
 
 def test_noise_and_wrong_images(lens, images):

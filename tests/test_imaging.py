@@ -69,7 +69,7 @@ def test_light_moves_with_the_psf():
 def test_an_impulse_changes_nothing(colour, outside_window):
     """A perfect lens is the identity, also with conversion to linear light and back."""
     images = random_images(3)
-    captures = PsfCamera(impulse(), outside_window, colour).all_fields(images)
+    captures = PsfCamera(impulse(), outside_window=outside_window, colour=colour).all_fields(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=3e-5 if colour == "linear" else 1e-6)
 
 
@@ -78,7 +78,7 @@ def test_an_impulse_changes_nothing(colour, outside_window):
 def test_a_uniform_image_stays_uniform(colour, outside_window):
     """Blur cannot change a uniform image, whatever the energy in the window."""
     images = torch.tensor([0.2, 0.5, 0.9])[:, None, None].expand(B, 3, 20, 20)
-    captures = PsfCamera(random_psf(4), outside_window, colour).all_fields(images)
+    captures = PsfCamera(random_psf(4), outside_window=outside_window, colour=colour).all_fields(images)
     torch.testing.assert_close(captures, images.expand_as(captures), rtol=0, atol=2e-5)
 
 
@@ -89,7 +89,7 @@ def test_mean_flux_is_conserved(outside_window):
     border = torch.zeros(40, 40)
     border[K:-K, K:-K] = 1
     images = images * border
-    captures = PsfCamera(random_psf(6), outside_window).all_fields(images)
+    captures = PsfCamera(random_psf(6), outside_window=outside_window).all_fields(images)
     expected = images.mean((-2, -1)).expand(F, B, 3)
     torch.testing.assert_close(captures.mean((-2, -1)), expected, rtol=0, atol=1e-6)
 
@@ -98,7 +98,7 @@ def test_renormalising_deletes_the_veil():
     """It equals a PSF of unit energy; with a veil the contrast is multiplied by the energy in the window."""
     images, psf = random_images(7), random_psf(8)
     energy = psf.sum((-2, -1), keepdim=True)
-    renormalised = PsfCamera(psf, "renormalise").all_fields(images)
+    renormalised = PsfCamera(psf, outside_window="renormalise").all_fields(images)
     torch.testing.assert_close(renormalised, PsfCamera(psf / energy).all_fields(images), rtol=0, atol=1e-6)
     mean = images.mean((-2, -1), keepdim=True)
     inside = energy[:, None]
@@ -193,13 +193,16 @@ def test_psnr_is_taken_per_image():
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda psf, images: PsfCamera(psf, "remove"), "outside_window: expected veil or renormalise, got 'remove'"),
+        (
+            lambda psf, images: PsfCamera(psf, outside_window="remove"),
+            "outside_window: expected veil or renormalise, got 'remove'",
+        ),
         (lambda psf, images: PsfCamera(psf, colour="lineaR"), "colour: expected srgb or linear, got 'lineaR'"),
         (lambda psf, images: PsfCamera(psf, sensor=6000), "sensor: expected a tasklens.SensorSettings, got 6000"),
-        (lambda psf, images: PsfCamera(psf)(images, torch.tensor([-1, 0])), "fields: expected indices from 0"),
-        (lambda psf, images: PsfCamera(psf)(images, torch.tensor([0, 99])), "got 0 to 99"),
-        (lambda psf, images: PsfCamera(psf, sensor=SensorSettings())(images, torch.tensor([0, 0])), "noise: expected"),
-        (lambda psf, images: PsfCamera(psf)(images, torch.tensor([0, 0]), images), "noise: only for a camera with"),
+        (lambda psf, images: PsfCamera(psf)(images, torch.tensor([-1, 0])), "fields: expected an index from 0"),
+        (lambda psf, images: PsfCamera(psf)(images, [0, 99]), "fields: expected an index from 0 to"),
+        (lambda psf, images: PsfCamera(psf)(images, [0]), "for each of 2 images"),
+        (lambda psf, images: PsfCamera(psf)(images, [0, 0], images), "sample: only for a camera with"),
         (lambda psf, images: PsfCamera(psf, illumination=torch.ones(len(psf))), "illumination: only with a `sensor`"),
         (
             lambda psf, images: PsfCamera(psf, sensor=SensorSettings(), illumination=torch.ones(9)),
@@ -208,6 +211,6 @@ def test_psnr_is_taken_per_image():
     ],
 )
 def test_what_a_camera_cannot_use(call, words):
-    """Wrong words, fields that the PSFs do not have, and a sensor without noise are named."""
+    """Wrong words, fields that the PSFs do not have, and noise without a sensor are named."""
     with pytest.raises(InputError, match=words):
         call(random_psf(4), random_images(9)[:2])

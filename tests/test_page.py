@@ -244,7 +244,11 @@ def test_accuracy_by_field_is_a_line_per_design_from_axis_to_corner():
 
 def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():
     """Two doublets, of two fields of view, share a square with their mean; a triplet has its own."""
-    rows = {"elements": ["doublet", "doublet_wide", "triplet_f2"], "element_count": [2, 2, 3], "f_number": [2.8, 2.8, 2.0]}
+    rows = {
+        "elements": ["doublet", "doublet_wide", "triplet_f2"],
+        "element_count": [2, 2, 3],
+        "f_number": [2.8, 2.8, 2.0],
+    }
     numbers = {"difference": [4.0, 8.0, -1.0], "low": [3.0, 7.0, -2.0], "high": [5.0, 9.0, 0.0]}
     chart = charts.regime_map("map", "Where it pays", pandas.DataFrame(rows | numbers))
     (squares,) = json.loads(chart.json)["data"]

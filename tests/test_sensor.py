@@ -46,7 +46,8 @@ def test_much_light_leaves_the_capture_and_its_levels():
     """With 1e9 electrons only the rounding is left: half a level of 4 bits at most, and 16 values."""
     sensor = SensorSettings(full_well=1e9, bits=4)
     image = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    capture = expose(rgb_to_linear_rgb(image), sensor, torch.ones(2), noise(image.shape))
+    sample = noise(image.shape, torch.Generator().manual_seed(0))
+    capture = expose(rgb_to_linear_rgb(image), sensor, torch.ones(2), sample)
     assert (capture - image).abs().max() <= 0.5 / 15 + 1e-6
     torch.testing.assert_close(capture * 15, (capture * 15).round(), rtol=0, atol=1e-5)
 
@@ -55,7 +56,7 @@ def test_gradient_against_differences():
     """With fixed noise, and rounding treated as the identity."""
     sensor = SensorSettings(gain=4, bits=16)
     image = torch.tensor([0.2, 0.4, 0.6]).double().reshape(1, 3, 1, 1).requires_grad_()
-    z = noise(image.shape).double()
+    z = noise(image.shape, torch.Generator().manual_seed(0)).double()
     light = torch.ones(1, dtype=torch.float64)
     (slope,) = torch.autograd.grad(expose(image, sensor, light, z).sum(), image)
     step = 0.02  # a thousand levels

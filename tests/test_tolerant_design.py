@@ -85,9 +85,7 @@ def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch
 def test_a_design_for_built_lenses_is_another(start):
     """With equal images and rays, built lenses lead to another design; the same seed repeats it."""
     network = tiny_network()
-    plain, tolerant, again = (
-        task_design(network, start, grade=grade)[0] for grade in (None, COMMERCIAL, COMMERCIAL)
-    )
+    plain, tolerant, again = (task_design(network, start, grade=grade)[0] for grade in (None, COMMERCIAL, COMMERCIAL))
     assert not torch.equal(plain.curvature, tolerant.curvature)
     assert torch.equal(tolerant.curvature, again.curvature)
     assert tolerant.pose is None and tolerant.melt is None

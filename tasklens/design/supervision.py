@@ -69,7 +69,7 @@ def loss_at_psf(
         dtype.
     """
     leaf = grid.detach().to(images).requires_grad_()
-    camera = PsfCamera(leaf, capture.outside_window, capture.colour, capture.sensor, illumination)
+    camera = PsfCamera.of(capture, leaf, illumination)
     captures = camera.all_fields(images, torch.Generator().manual_seed(seed))
     inputs, source = captures.detach().flatten(0, 1), torch.arange(len(images)).repeat(len(grid))
     count = math.ceil(len(inputs) / micro_batch)
@@ -260,7 +260,7 @@ class Supervisor:
         assert isinstance(criterion, CaptureCriterion)
         images, labels = self.images(self.fixed_images(part), augment=False)
         capture = self.capture
-        camera = PsfCamera(grid.to(images), capture.outside_window, capture.colour, capture.sensor, light)
+        camera = PsfCamera.of(capture, grid.to(images), light)
         losses = []
         # Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch.
         batch_size = max(1, self.micro_batch // len(grid))

@@ -8,14 +8,13 @@ from torch import Tensor, nn
 from tasklens.design import from_lens
 from tasklens.design.constraints import penalty
 from tasklens.design.variables import Variables, with_coefficients
-from tasklens.imaging import PsfCamera, check_capture
+from tasklens.imaging import PsfCamera, check_capture, field_indices
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.sensor import noise
 from tasklens.study.settings import Constraints, SensorSettings
 
 _FORMAT = 2.0  # of the state: parameters are changes
@@ -117,7 +116,7 @@ class Camera(nn.Module):
         return super()._apply(moved, recurse)
 
     @torch.compiler.disable
-    def forward(self, images: Tensor, fields: Tensor | None = None) -> Tensor:
+    def forward(self, images: Tensor, fields: Sequence[int] | Tensor | None = None) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W), of the same type.
 
         Args:
@@ -126,25 +125,13 @@ class Camera(nn.Module):
         Raises:
             InputError: images or fields of another shape, or a lens that is not finite.
         """
-        if fields is None:
-            fields = torch.randint(len(self.view.fields), (len(images),))
-        fields = torch.as_tensor(fields)
-        if (
-            fields.is_floating_point()
-            or fields.dtype == torch.bool
-            or fields.shape != (len(images),)
-            or not ((fields >= 0) & (fields < len(self.view.fields))).all()
-        ):
-            raise InputError(
-                f"fields: expected an index from 0 to {len(self.view.fields) - 1} for each of {len(images)} images"
-            )
-        pixel_noise = None if self.sensor is None else noise(images.shape, torch.default_generator)
-        return self._camera(images)(images, fields.long(), pixel_noise).to(images.dtype)
+        indices = field_indices(fields, len(images), len(self.view.fields))
+        return self._camera(images)(images, indices).to(images.dtype)
 
     @torch.compiler.disable
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
-        return self._camera(images).all_fields(images, torch.default_generator).to(images.dtype)
+        return self._camera(images).all_fields(images).to(images.dtype)
 
     @torch.compiler.disable
     def penalty(self) -> Tensor:
@@ -166,4 +153,6 @@ class Camera(nn.Module):
             raise InputError(f"{bad} of the lens is not finite: the training diverged; lower the learning rate")
         light = None if self.sensor is None else relative_illumination(lens.detached(), self.view)
         psf = evaluation_psf(lens, self.view, self.rays).float().to(images.device)
-        return PsfCamera(psf, self.outside_window, self.colour, self.sensor, light)
+        return PsfCamera(
+            psf, colour=self.colour, outside_window=self.outside_window, sensor=self.sensor, illumination=light
+        )

@@ -67,7 +67,8 @@ def simulate(
     check_light(lens, view)
     grid = psf(lens, view, rays, diffraction)
     illumination = None if sensor is None else relative_illumination(lens.detached(), view)
-    return PsfCamera(grid, outside_window, colour, sensor, illumination).all_fields(source[None])[:, 0]
+    camera = PsfCamera(grid, colour=colour, outside_window=outside_window, sensor=sensor, illumination=illumination)
+    return camera.all_fields(source[None], torch.Generator().manual_seed(0))[:, 0]
 
 
 def simulate_sensor(

@@ -41,14 +41,18 @@ def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements
         {
             "elements": rows["lens"].str.split("-").str[0],
             "design": rows["lens"].str.split("-").str[1],
-            "element_count": [sum(surface["medium"] != AIR.name for surface in content["surfaces"]) for content in files],
+            "element_count": [
+                sum(surface["medium"] != AIR.name for surface in content["surfaces"]) for content in files
+            ],
             "field_of_view_deg": [spec["field_of_view_deg"] for spec in specs],
             "f_number": [spec["f_number"] for spec in specs],
             "difference": rows["difference"],
             "low": rows["low"],
             "high": rows["high"],
             "rms_spot_um_task": [mean(rms_um(task_lens, seed) for task_lens, _, seed in pairs) for pairs in lens_pairs],
-            "rms_spot_um_imaging": [mean(rms_um(baseline, seed) for _, baseline, seed in pairs) for pairs in lens_pairs],
+            "rms_spot_um_imaging": [
+                mean(rms_um(baseline, seed) for _, baseline, seed in pairs) for pairs in lens_pairs
+            ],
             "evaluations_task": [round(mean(tried[task_lens] for task_lens, _, _ in pairs)) for pairs in lens_pairs],
             "evaluations_imaging": [round(mean(tried[baseline] for _, baseline, _ in pairs)) for pairs in lens_pairs],
             "baseline": rows["baseline"],
