@@ -6,7 +6,7 @@ Functions for notebooks (see `help()` of each):
     lens, draw              a lens from its surfaces; drawings
     trace, psf, analyse     rays, point spread functions, figures of a lens
     simulate                captures of an image, each entirely at one field
-    simulate_sensor         capture of an image by the whole sensor
+    simulate_whole_sensor   capture of an image by the whole sensor
     design_lens             a new lens
     rank                    ranking of lenses for a network
     Camera                  a lens in front of a network, for your own training loop
@@ -40,7 +40,7 @@ __all__ = [
     "rank",
     "save_lens",
     "simulate",
-    "simulate_sensor",
+    "simulate_whole_sensor",
     "trace",
 ]
 

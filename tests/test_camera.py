@@ -34,7 +34,7 @@ def test_captures_are_those_of_simulate(lens, images):
     camera = tasklens.Camera(*lens, rays=4096)
     grid = camera.all_fields(images)
     assert grid.shape == (9, 4, 3, 32, 32)
-    torch.testing.assert_close(grid[:, 1], tasklens.simulate(images[1], *lens), rtol=0, atol=1e-6)
+    torch.testing.assert_close(grid[:, 1], tasklens.simulate(*lens, images[1]), rtol=0, atol=1e-6)
     single = camera(images, torch.tensor([8, 0, 3, 8]))
     for k, field in enumerate((8, 0, 3, 8)):
         torch.testing.assert_close(single[k], grid[field, k], rtol=0, atol=1e-5)

@@ -50,10 +50,10 @@ def test_each_photograph_is_captured_at_its_field(photos, capsys):
         source = next(path for path in photos.rglob("*") if str(path.relative_to(photos)).lower() == row["file"])
         point = float(row["x_mm"]), float(row["y_mm"])
         assert point == tuple(view.fields[int(row["field"])].tolist())
-        expected = tasklens.simulate(opened(source), lens, view, [point], rays=256)[0]
+        expected = tasklens.simulate(lens, view, opened(source), [point], rays=256)[0]
         torch.testing.assert_close(opened(Path("out", row["file"])), expected.clamp(0, 1), rtol=0, atol=0.51 / 255)
     assert len({row["field"] for row in rows}) > 1
-    assert run("photos", "-o", "noisy", *OPTIONS, "--noise", "6000") == 0
+    assert run("photos", "-o", "noisy", *OPTIONS, "--full-well", "6000") == 0
     assert rows_of("noisy") == rows
     assert not torch.equal(opened(Path("noisy/cat/a.png")), opened(Path("out/cat/a.png")))
 

@@ -198,7 +198,7 @@ def test_one_field_and_all_nine(folder):
     assert len({round(value, 3) for value in spread.values()}) == 3
     assert run("simulate", DOUBLET, "image.png", "-o", "point.png", "--field", "0,0", *FEW) == 0
     assert (folder / "point.png").read_bytes() == (folder / "axis.png").read_bytes()
-    assert run("simulate", DOUBLET, "image.png", "-o", "grid.jpg", "--grid", "--noise", "6000", *FEW) == 0
+    assert run("simulate", DOUBLET, "image.png", "-o", "grid.jpg", "--grid", "--full-well", "6000", *FEW) == 0
     with Image.open("grid.jpg") as grid:
         assert grid.size == (3 * 80 + 2 * 4, 3 * 60 + 2 * 4) and grid.format == "JPEG"
     Image.new("RGB", (80, 60), (120, 120, 120)).save("grey.png")

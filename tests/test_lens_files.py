@@ -60,11 +60,11 @@ def test_any_number_of_wavelengths_is_drawn_and_simulated(tmp_path):
     image = torch.rand(3, 60, 60, generator=torch.Generator().manual_seed(1))
     one = save(tmp_path, wavelengths_um=(0.55,), primary=0)
     grey = image.mean(0).expand(3, -1, -1)
-    capture = tasklens.simulate(grey, one.lens, one.view, fields=[(0, 3.0)], rays=256)
+    capture = tasklens.simulate(one.lens, one.view, grey, fields=[(0, 3.0)], rays=256)
     assert capture.shape == (1, 3, 60, 60) and torch.allclose(capture[0, 0], capture[0, 2], atol=1e-6)
     four = save(tmp_path, wavelengths_um=(0.7, 0.65, 0.6, 0.55), primary=3)
     three = replace(four.view, wavelengths_um=(0.7, 0.6, 0.55))
-    captures = [tasklens.simulate(image, four.lens, view, fields=[(0, 3.0)], rays=256) for view in (four.view, three)]
+    captures = [tasklens.simulate(four.lens, view, image, fields=[(0, 3.0)], rays=256) for view in (four.view, three)]
     assert torch.equal(*captures)
 
 

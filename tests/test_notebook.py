@@ -147,15 +147,15 @@ def test_captures_are_of_the_same_image_by_file_array_or_tensor(doublet, tmp_pat
     tensor = torch.from_numpy(values).movedim(-1, 0).float() / 255
     fields = [(0.0, 0.0), (1.0, 0.6)]
     captures = [
-        tasklens.simulate(image, lens, view, fields, rays=64)
+        tasklens.simulate(lens, view, image, fields, rays=64)
         for image in (tmp_path / "image.png", values, values / 255, tensor)
     ]
     assert captures[0].shape == (2, 3, 40, 48) and captures[0].min() >= 0 and captures[0].max() <= 1
     for other in captures[1:]:
         torch.testing.assert_close(other.float(), captures[0].float(), rtol=0, atol=1e-6)
-    assert tasklens.simulate(tensor, lens, view, rays=64).shape == (9, 3, 40, 48)
+    assert tasklens.simulate(lens, view, tensor, rays=64).shape == (9, 3, 40, 48)
     leaf = tensor.clone().requires_grad_()
-    tasklens.simulate(leaf, lens, view, fields[:1], rays=64).sum().backward()
+    tasklens.simulate(lens, view, leaf, fields[:1], rays=64).sum().backward()
     assert float(leaf.grad.mean()) == pytest.approx(1, abs=1e-3)  # each pixel's light arrives
 
 
@@ -167,11 +167,11 @@ def test_what_a_capture_cannot_be_made_of(doublet, tmp_path):
         (tmp_path / "absent.png", "absent.png: no such image"),
     ):
         with pytest.raises(InputError, match=words):
-            tasklens.simulate(image, lens, view, rays=64)
+            tasklens.simulate(lens, view, image, rays=64)
     with pytest.raises(InputError, match=r"fields: expected at least one point \(x, y\)"):
-        tasklens.simulate(torch.zeros(3, 60, 60), lens, view, fields=[0, 8], rays=64)
+        tasklens.simulate(lens, view, torch.zeros(3, 60, 60), fields=[0, 8], rays=64)
     with pytest.raises(InputError, match="colour: expected srgb or linear, got 'rgb'"):
-        tasklens.simulate(torch.zeros(3, 60, 60), lens, view, colour="rgb", rays=64)
+        tasklens.simulate(lens, view, torch.zeros(3, 60, 60), colour="rgb", rays=64)
 
 
 def test_images_as_other_programs_have_them(doublet):
@@ -180,11 +180,11 @@ def test_images_as_other_programs_have_them(doublet):
 
     lens, view = doublet
     values = numpy.random.default_rng(0).integers(0, 256, (60, 64, 3), dtype=numpy.uint8)
-    expected = tasklens.simulate(values, lens, view, [(0, 0)], rays=64)
+    expected = tasklens.simulate(lens, view, values, [(0, 0)], rays=64)
     reversed_twice = values[..., ::-1].copy()[..., ::-1]
     wide = values.astype(numpy.uint16) * 257
     for image in (reversed_twice, Image.fromarray(values), wide, torch.from_numpy(wide).movedim(-1, 0)):
-        torch.testing.assert_close(tasklens.simulate(image, lens, view, [(0, 0)], rays=64).float(), expected.float())
+        torch.testing.assert_close(tasklens.simulate(lens, view, image, [(0, 0)], rays=64).float(), expected.float())
     for image, words in (
         (values.astype(int), r"expected uint8, uint16 or floats in \[0, 1\], got torch.int64"),
         (values.astype(float), r"expected floats in \[0, 1\], got 0 to 255; scale them"),
@@ -192,20 +192,20 @@ def test_images_as_other_programs_have_them(doublet):
         (values * numpy.nan, "got nan to nan"),
     ):
         with pytest.raises(InputError, match=words):
-            tasklens.simulate(image, lens, view, [(0, 0)], rays=64)
+            tasklens.simulate(lens, view, image, [(0, 0)], rays=64)
 
 
 def test_a_field_without_sensor_or_light_is_refused(doublet):
     lens, view = doublet
     image = torch.zeros(3, 60, 60)
     with pytest.raises(InputError, match=r"field \(9, 9\) mm: outside the field, which ends 2\.000 mm from the axis"):
-        tasklens.simulate(image, lens, view, [(9, 9)], rays=64)
+        tasklens.simulate(lens, view, image, [(9, 9)], rays=64)
     semi_diameter = lens.semi_diameter.clone()
     semi_diameter[-1] = 0.2
     dark = replace(lens, semi_diameter=semi_diameter)
-    assert tasklens.simulate(image, dark, view, [(0, 0)], rays=64).shape == (1, 3, 60, 60)
+    assert tasklens.simulate(dark, view, image, [(0, 0)], rays=64).shape == (1, 3, 60, 60)
     with pytest.raises(InputError, match=r"no light arrives at the field \(1\.7, 1\) mm"):
-        tasklens.simulate(image, dark, view, [(1.7, 1.0)], rays=64)
+        tasklens.simulate(dark, view, image, [(1.7, 1.0)], rays=64)
 
 
 COOKE = [
@@ -281,9 +281,12 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
 @pytest.mark.parametrize(
     "call, words",
     [
-        (lambda lens, view: tasklens.simulate(IMAGE, lens, view, []), "fields: expected at least one"),
-        (lambda lens, view: tasklens.simulate(IMAGE, lens, view, sensor=True), "sensor: expected"),
-        (lambda lens, view: tasklens.simulate_sensor(IMAGE, lens, view, 0), "pixel_pitch_um: expected a positive"),
+        (lambda lens, view: tasklens.simulate(lens, view, IMAGE, []), "fields: expected at least one"),
+        (lambda lens, view: tasklens.simulate(lens, view, IMAGE, sensor=True), "sensor: expected"),
+        (
+            lambda lens, view: tasklens.simulate_whole_sensor(lens, view, IMAGE, 0),
+            "image_pixel_pitch_um: expected a positive",
+        ),
         (lambda lens, view: tasklens.psf(lens, view, rays=0), "rays: expected at least one"),
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, wavelengths_um=0.55), "wavelengths_um: expected a list"),
         (lambda lens, view: tasklens.load_lens(LENS, wavelengths_um=0.55), "wavelengths_um: expected a list"),

@@ -217,7 +217,7 @@ def test_built_lenses_and_a_sieve(here, capfd, monkeypatch):
     """The two lenses of the highest MTF are measured, and the first one is built in simulation."""
     study_of, few = pipeline.study, {"tolerances": {"lenses": 10, "images": 10}}
     monkeypatch.setattr(pipeline, "study", lambda *arguments: study_of(*arguments) | few)
-    options = ("--sieve", "3", "--as-built", "1", "--name", "built", "--noise", "500", "--scale", "--object", "100")
+    options = ("--sieve", "3", "--as-built", "1", "--name", "built", "--full-well", "500", "--scale", "--object", "100")
     assert main([*COMMAND, *SENSOR, *options]) == 0
     output = capfd.readouterr().out
     table = pandas.read_csv("results/built/tables/ranking.csv")

@@ -198,7 +198,7 @@ def test_an_aperture_that_stops_the_chief_ray_darkens_the_corner():
     lens = replace(lens, semi_diameter=semi_diameter)
     rays = trace_fields(lens, view, sobol_disc(256, 0))
     assert not bool(chief_rays(lens, view).valid[-1]) and 0.05 < float(rays.valid[-1].double().mean()) < 0.6
-    grey = tasklens.simulate_sensor(torch.full((3, *SHAPE), 0.5), lens, view, rays=256, illumination=True)
+    grey = tasklens.simulate_whole_sensor(lens, view, torch.full((3, *SHAPE), 0.5), rays=256, illumination=True)
     assert grey.isfinite().all() and float(grey[1, 1, 1]) < float(grey[1, 48, 64])
 
 
@@ -209,8 +209,8 @@ def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_co
     star[:, 80, 110] = 1
     field = points(shape, pitch)[80, 110]
     at = chief_points(lens, replace(view, fields=field[None]))[0] * (1e3 / pitch)
-    spread = tasklens.simulate_sensor(star, lens, view, pitch, rays=RAYS, distortion=True)[1].clamp(min=0)
-    straight = tasklens.simulate_sensor(star, lens, view, pitch, rays=RAYS)[1].clamp(min=0)
+    spread = tasklens.simulate_whole_sensor(lens, view, star, pitch, rays=RAYS, distortion=True)[1].clamp(min=0)
+    straight = tasklens.simulate_whole_sensor(lens, view, star, pitch, rays=RAYS)[1].clamp(min=0)
 
     def centre(capture):
         grid = torch.stack(torch.meshgrid(torch.arange(129) - 64.0, torch.arange(97) - 48.0, indexing="xy"), -1)
@@ -223,7 +223,7 @@ def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_co
     expected_light = relative_illumination(lens, replace(view, fields=f64([[0, 0], [0, corner]])))
     for colour, within in (("linear", 0.02), ("srgb", 0.04)):  # the latter averages sRGB values of unequal light
         grey = torch.full((3, *shape), 0.8)
-        dark = tasklens.simulate_sensor(grey, lens, view, pitch, colour=colour, illumination=True, rays=RAYS)
+        dark = tasklens.simulate_whole_sensor(lens, view, grey, pitch, colour=colour, illumination=True, rays=RAYS)
         dark = rgb_to_linear_rgb(dark)  # illumination is a ratio of light
         assert float(dark[1, 2, 2] / dark[1, 48, 64]) == pytest.approx(float(expected_light[1]), rel=within)
 
@@ -232,9 +232,9 @@ def test_linear_light_differs_from_srgb_values_but_not_of_an_even_image():
     lens, view = blurred()
     image = noise((40, 48), seed=8)
     pitch = pitch_on_sensor(lens, view, (40, 48)) * 0.5
-    first = [tasklens.simulate_sensor(image, lens, view, pitch, colour=c, rays=64) for c in ("srgb", "linear")]
+    first = [tasklens.simulate_whole_sensor(lens, view, image, pitch, colour=c, rays=64) for c in ("srgb", "linear")]
     assert (first[0] - first[1]).abs().mean() > 1e-3
-    even = tasklens.simulate_sensor(torch.full_like(image, 0.5), lens, view, pitch, colour="linear", rays=64)
+    even = tasklens.simulate_whole_sensor(lens, view, torch.full_like(image, 0.5), pitch, colour="linear", rays=64)
     assert (even - 0.5).abs().max() < 0.01
 
 
@@ -256,14 +256,14 @@ def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
     [
         ({"image": torch.zeros(1, 96, 128)}, r"a tensor \(3, H, W\), got \(1, 96, 128\)"),
         ({"image": torch.zeros(3, 20, 128)}, "20 x 128 pixels: too small"),
-        ({"pixel_pitch_um": 3000.0}, "corners at 237.* smaller pixel pitch"),
+        ({"image_pixel_pitch_um": 3000.0}, "corners at 237.* smaller pixel pitch"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused(change, message):
     lens, view = blurred()
     arguments = {"image": torch.zeros(3, *SHAPE), "rays": 16, **change}
     with pytest.raises(InputError, match=message):
-        tasklens.simulate_sensor(lens=lens, view=view, **arguments)
+        tasklens.simulate_whole_sensor(lens=lens, view=view, **arguments)
 
 
 def test_an_image_of_another_size_than_its_psfs_is_refused(traced):
@@ -288,7 +288,7 @@ def test_a_distorted_image_is_differentiable_in_the_lens():
 
     def corner(curvature: Tensor, held: bool = False) -> Tensor:
         shaped = replace(lens, curvature=curvature)
-        captured = tasklens.simulate_sensor(ramp, shaped, view, rays=256, distortion=True, illumination=held)
+        captured = tasklens.simulate_whole_sensor(shaped, view, ramp, rays=256, distortion=True, illumination=held)
         return captured[:, :5, :5].mean()
 
     start = lens.curvature.clone().requires_grad_()
@@ -302,7 +302,7 @@ def test_a_distorted_image_is_differentiable_in_the_lens():
 
 
 def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):
-    """The command writes what `tasklens.simulate_sensor` returns, and refuses options that would have no effect."""
+    """The command writes what `simulate_whole_sensor` returns, and refuses options that would have no effect."""
     lens, view = blurred()
     path, image, output = (str(tmp_path / name) for name in ("lens.yaml", "image.png", "capture.png"))
     tasklens.save_lens(path, lens, view)
@@ -310,12 +310,14 @@ def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):
     Image.fromarray(values).save(image)
     command = ["lens", "simulate", path, image, "-o", output, "--rays", "64"]
     assert main([*command, "--whole-sensor", "--distortion", "--illumination"]) == 0
-    expected = tasklens.simulate_sensor(image, *tasklens.load_lens(path), distortion=True, illumination=True, rays=64)
+    expected = tasklens.simulate_whole_sensor(
+        *tasklens.load_lens(path), image, distortion=True, illumination=True, rays=64
+    )
     pixels = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
     assert (pixels - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
     assert main([*command, "--force", "--whole-sensor", "--true-pixels", "--pixel-pitch", "20"]) == 0
     pitched = tasklens.load_lens(path, pixel_pitch_um=20.0)
-    expected = tasklens.simulate_sensor(image, *pitched, pixel_pitch_um=20.0, rays=64)
+    expected = tasklens.simulate_whole_sensor(*pitched, image, image_pixel_pitch_um=20.0, rays=64)
     pixels = torch.from_numpy(numpy.array(Image.open(output))).movedim(-1, 0)
     assert (pixels - 255 * expected.clamp(0, 1)).abs().max() <= 0.51
     for options in (["--illumination"], ["--true-pixels"], ["--whole-sensor", "--grid"]):

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from tasklens.cli.lens import Colour, File, Noise, Rays
+from tasklens.cli.lens import Colour, File, FullWell, Rays
 from tasklens.cli.outputs import say
 from tasklens.cli.progress_bars import progress_bars
 
@@ -20,7 +20,7 @@ def captures(
     field: Annotated[Literal["random", "axis", "middle", "corner"], typer.Option(help="Field of each.")] = "random",
     seed: Annotated[int, typer.Option(help="Seed of random fields and noise.")] = 0,
     colour: Colour = None,
-    noise: Noise = None,
+    full_well: FullWell = None,
     rays: Rays = 4096,
 ) -> None:
     """Simulate captures of all photographs of a folder, each at one field, to train a network elsewhere."""
@@ -29,7 +29,7 @@ def captures(
 
     lens = read(file)
     index = None if field == "random" else lens.view.named_fields[field]
-    sensor = None if noise is None else SensorSettings(full_well=noise)
+    sensor = None if full_well is None else SensorSettings(full_well=full_well)
     with progress_bars():
         count = capture_folder(folder, output, lens.lens, lens.view, size, index, seed, colour, sensor, rays)
     say(f"wrote {count} captures to {output}; {FIELDS} has their fields")

@@ -24,9 +24,9 @@ _GRADE = "precision_moulding"
 Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
 Colour = Annotated[
     Literal["srgb", "linear"] | None,
-    typer.Option(help="Blur sRGB values, or linear light, the default with --noise.", show_default="srgb"),
+    typer.Option(help="Blur sRGB values, or linear light, the default with --full-well.", show_default="srgb"),
 ]
-Noise = Annotated[
+FullWell = Annotated[
     float | None,
     typer.Option(min=1, help="Add sensor noise: electrons per pixel at white, about 6000 in a phone in daylight."),
 ]
@@ -175,7 +175,7 @@ def simulate(
         bool, typer.Option("--illumination", help="With --whole-sensor: apply the relative illumination.")
     ] = False,
     colour: Colour = None,
-    noise: Noise = None,
+    full_well: FullWell = None,
     rays: Rays = 4096,
     diffraction: Annotated[
         bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
@@ -190,8 +190,8 @@ def simulate(
     new_file(output, force, ".png", ".jpg", ".jpeg")
     if grid and field != "axis":
         raise InputError("--grid shows all fields: not with --field")
-    if whole_sensor and (grid or noise is not None or diffraction or field != "axis"):
-        raise InputError("--whole-sensor: not with --field, --grid, --noise or --diffraction")
+    if whole_sensor and (grid or full_well is not None or diffraction or field != "axis"):
+        raise InputError("--whole-sensor: not with --field, --grid, --full-well or --diffraction")
     if not whole_sensor and (true_pixels or distortion or illumination):
         raise InputError("--true-pixels, --distortion and --illumination: only with --whole-sensor")
     lens = read(file)
@@ -204,16 +204,16 @@ def simulate(
             "rays": rays,
         }
         with progress_bars():
-            captures = notebook.simulate_sensor(image, lens.lens, lens.view, pitch, **options)[None]
+            captures = notebook.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
         say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
     else:
         captures = notebook.simulate(
-            image,
             lens.lens,
             lens.view,
+            image,
             None if grid else [_field(lens.view, field)],
             colour=colour,
-            sensor=None if noise is None else SensorSettings(full_well=noise),
+            sensor=None if full_well is None else SensorSettings(full_well=full_well),
             rays=rays,
             diffraction=diffraction,
         )

@@ -50,7 +50,7 @@ def rank(
         float,
         typer.Option("--object", help="Distance of the object (mm), or inf.", rich_help_panel=_SENSOR),
     ] = math.inf,
-    noise: Annotated[
+    full_well: Annotated[
         float | None,
         typer.Option(min=1, help="Add sensor noise: electrons per pixel at white.", rich_help_panel=_SENSOR),
     ] = None,
@@ -106,7 +106,7 @@ def rank(
     }
     paths = ranking.lens_paths(lenses)
     section = ranking.image_settings(images, 224 if size is None else size, photographs, fine_tune > 0)
-    capture = {"diffraction": diffraction, "sensor": None if noise is None else {"full_well": noise}}
+    capture = {"diffraction": diffraction, "sensor": None if full_well is None else {"full_well": full_well}}
     tolerances = {} if grade is None else {"grade": grade}
 
     def study(screened: ranking.Screened, built: Sequence[str] = ()) -> dict:

@@ -7,11 +7,11 @@ which it is evaluated. Lengths are in mm; wavelengths, pixels and spots are in u
 
     lens, view = tasklens.load_lens("lens.yaml")
     tasklens.analyse(lens, view)["rms_centroid_um"]
-    captures = tasklens.simulate("photograph.jpg", lens, view)
+    captures = tasklens.simulate(lens, view, "photograph.jpg")
 """
 
 from tasklens.notebook.camera import Camera
-from tasklens.notebook.captures import simulate, simulate_sensor
+from tasklens.notebook.captures import simulate, simulate_whole_sensor
 from tasklens.notebook.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
 from tasklens.notebook.ranking import Ranking, rank
 
@@ -27,6 +27,6 @@ __all__ = [
     "rank",
     "save_lens",
     "simulate",
-    "simulate_sensor",
+    "simulate_whole_sensor",
     "trace",
 ]

@@ -19,9 +19,9 @@ from tasklens.study.settings import SensorSettings
 
 
 def simulate(
-    image: Image,
     lens: Lens,
     view: View,
+    image: Image,
     fields: Sequence[tuple[float, float]] | None = None,
     *,
     colour: str | None = None,
@@ -51,7 +51,7 @@ def simulate(
             the view, or no light arrives there.
 
     Example:
-        >>> captures = tasklens.simulate("cat.jpg", lens, view, fields=[(0, 0), (1.7, 1.0)])
+        >>> captures = tasklens.simulate(lens, view, "cat.jpg", fields=[(0, 0), (1.7, 1.0)])
     """
     source = image_tensor(image)
     check_capture(colour, outside_window, sensor)
@@ -71,11 +71,11 @@ def simulate(
     return camera.all_fields(source[None], torch.Generator().manual_seed(0))[:, 0]
 
 
-def simulate_sensor(
-    image: Image,
+def simulate_whole_sensor(
     lens: Lens,
     view: View,
-    pixel_pitch_um: float | None = None,
+    image: Image,
+    image_pixel_pitch_um: float | None = None,
     *,
     colour: Literal["srgb", "linear"] = "srgb",
     distortion: bool = False,
@@ -86,7 +86,7 @@ def simulate_sensor(
 
     Args:
         image: as in `simulate`, of any size; its centre is on the axis.
-        pixel_pitch_um: width of a pixel of the image; None: the width at which the image fills the sensor.
+        image_pixel_pitch_um: width of a pixel of the image; None: the width at which the image fills the sensor.
         colour: "srgb" convolves the sRGB values of the image, "linear" its linear light.
         distortion: distort the image; if False, it has the geometry of a pinhole camera.
         illumination: darken the image towards its corners; if False, exposure compensates for it.
@@ -99,17 +99,17 @@ def simulate_sensor(
         InputError: the image cannot be read or is too small, or the lens forms no image at its corners.
 
     Example:
-        >>> capture = tasklens.simulate_sensor("cat.jpg", lens, view)  # 1080 x 1920: a quarter of a minute
+        >>> capture = tasklens.simulate_whole_sensor(lens, view, "cat.jpg")  # 1080 x 1920: a quarter of a minute
     """
     from tasklens.simulation.blend import capture
     from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
     check_capture(colour)
-    if pixel_pitch_um is not None and not pixel_pitch_um > 0:
-        raise InputError(f"pixel_pitch_um: expected a positive width, got {pixel_pitch_um}")
+    if image_pixel_pitch_um is not None and not image_pixel_pitch_um > 0:
+        raise InputError(f"image_pixel_pitch_um: expected a positive width, got {image_pixel_pitch_um}")
     source, view = image_tensor(image), view.in_colours()
     shape = (source.shape[1], source.shape[2])
-    pitch = pixel_pitch_um or pitch_on_sensor(lens, view, shape)
+    pitch = image_pixel_pitch_um or pitch_on_sensor(lens, view, shape)
     return capture(source, trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination), colour)
 
 
