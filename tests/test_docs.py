@@ -63,7 +63,7 @@ def test_commands_of_the_tutorial_run(tmp_path, monkeypatch):
 SMALL = "--size 32 --kernel-size 11 --network test_resnet"
 DESCENT = "--set rays=16 --set batch_size=2 --set descents.0.steps=1 --force"
 QUICK = {  # options that make a command quick, by the beginning of the command
-    "tasklens rank catalogue --images photographs --network resnet18": f"{SMALL} --photographs 20 --scale",
+    "tasklens rank catalogue --images photographs --network resnet18": f"{SMALL} --max-images 20 --scale",
     "tasklens design --method task": f"{SMALL} {DESCENT} --elements COC --set start=flat",
     "tasklens design --start my.zmx --method task": f"{SMALL} {DESCENT}",
     "tasklens design --start my.zmx --method contrast": "--set descents.0.steps=2 --limit max_track=70 --force",

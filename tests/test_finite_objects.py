@@ -280,7 +280,7 @@ def test_the_object_is_where_the_file_has_it(tmp_path):
 
 def test_commands_say_where_the_object_is(tmp_path, capsys):
     def output_of(*arguments) -> str:
-        assert main(["lens", *map(str, arguments), "--rays", "64", "--object", "80"]) == 0
+        assert main(["lens", *map(str, arguments), "--rays", "64", "--object-distance", "80"]) == 0
         return capsys.readouterr().out
 
     analysis = json.loads(output_of("analyse", DOUBLET, "--json"))
@@ -295,13 +295,13 @@ def test_commands_say_where_the_object_is(tmp_path, capsys):
 @pytest.mark.parametrize(
     "distance, words",
     [
-        *((value, f"object distance {value} (--object, in Python object_distance_mm): expected millimetres in front")
+        *((value, f"object distance {value} (--object-distance, in Python object_distance_mm): expected millimetres in front")
           for value in ("-5", "0", "nan")),
         ("0.5", "the lens forms no real image of it; move it away"),
     ],
 )  # fmt: skip
 def test_an_object_without_an_image_is_refused(distance, words, capsys):
-    assert main(["lens", "show", str(DOUBLET), "--object", distance]) == 2
+    assert main(["lens", "show", str(DOUBLET), "--object-distance", distance]) == 2
     assert words in capsys.readouterr().err
 
 

@@ -191,7 +191,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         (("--method", "least_squares"), "method: least_squares starts from random lenses"),
         (("--wavelengths", "0.55"), "designs need three wavelengths: --wavelengths 0.65,0.55,0.47"),
         (("--field-of-view", "0.05"), "field_of_view_deg"),
-        (("--object", "400"), "designs need an object at infinity: give --object inf"),
+        (("--object-distance", "400"), "designs need an object at infinity: give --object-distance inf"),
         (("--limit", "max_trak=6"), "--limit max_trak = 6: unknown key; did you mean max_track?"),
         (("--limit", "flat_track=3"), "--limit flat_track: only for designs from flat plates"),
         (("--limit", "max_track=abc"), "--limit max_track = 'abc': expected a number"),

@@ -212,11 +212,31 @@ def test_a_laser_lens_at_its_own_wavelength(tmp_path):
     assert tasklens.analyse(file.lens, file.view)["rms_centroid_um"][0] == pytest.approx(expected, rel=1e-3)
 
 
+def test_wavelengths_in_the_order_of_the_source_are_no_contradiction(tmp_path):
+    """A lens that was improved from a Zemax file keeps the order of the file, here from blue to red."""
+    source = lens_files.read(PUBLISHED / "doublet-imaging2.yaml")
+    turned = replace(source.prescription, wavelengths_um=source.view.wavelengths_um[::-1], primary=1)
+    lens_files.write(tmp_path / "lens.yaml", turned, source.content)
+    file = lens_files.read(tmp_path / "lens.yaml")
+    assert file.prescription.wavelengths_um == turned.wavelengths_um
+    assert file.view.wavelengths_um == source.view.wavelengths_um
+
+
+def test_a_missing_catalogue_is_an_error_for_every_lens(tmp_path):
+    """Also for a lens.yaml, which needs none."""
+    with pytest.raises(FileError, match="mine.agf: no such file"):
+        lens_files.read(PUBLISHED / "doublet-imaging2.yaml", [tmp_path / "mine.agf"])
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         ({"obect_distance_mm": 500}, "obect_distance_mm: unknown key; did you mean object_distance_mm?"),
-        ({"wavelengths_um": [0.9, 0.8, 0.7], "primary": 1}, "wavelengths_um and spec.wavelengths_um differ"),
+        ({"wavelengths_um": [0.9, 0.8, 0.7], "primary": 1}, "wavelengths_um and primary contradict"),
+        (
+            {"wavelengths_um": [0.6563, 0.5893, 0.4861], "primary": 0},
+            "wavelengths_um and primary contradict spec.wavelengths_um, whose middle one is the reference",
+        ),
         ({"spec.pixel_pich_um": 3}, "spec.pixel_pich_um: unknown key; did you mean pixel_pitch_um?"),
         (
             {"spec.object_distance_mm": 500},

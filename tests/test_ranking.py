@@ -160,7 +160,7 @@ def here(folder, monkeypatch):
 
 COMMAND = ("rank", "lenses", "--images", "photographs", "--network", "test_resnet")
 WEIGHTS = ("--weights", "mine.safetensors")
-SMALL = ("--size", "32", "--kernel-size", "15", "--diagonal", "1.0", "--pixel-pitch", "4", "--photographs", "40")
+SMALL = ("--size", "32", "--kernel-size", "15", "--diagonal", "1.0", "--pixel-pitch", "4", "--max-images", "40")
 SENSOR = (*WEIGHTS, *SMALL)
 
 
@@ -217,7 +217,19 @@ def test_built_lenses_and_a_sieve(here, capfd, monkeypatch):
     """The two lenses of the highest MTF are measured, and the first one is built in simulation."""
     study_of, few = pipeline.study, {"tolerances": {"lenses": 10, "images": 10}}
     monkeypatch.setattr(pipeline, "study", lambda *arguments: study_of(*arguments) | few)
-    options = ("--sieve", "3", "--as-built", "1", "--name", "built", "--full-well", "500", "--scale", "--object", "100")
+    options = (
+        "--sieve",
+        "3",
+        "--as-built",
+        "1",
+        "--name",
+        "built",
+        "--full-well",
+        "500",
+        "--scale",
+        "--object-distance",
+        "100",
+    )
     assert main([*COMMAND, *SENSOR, *options]) == 0
     output = capfd.readouterr().out
     table = pandas.read_csv("results/built/tables/ranking.csv")
@@ -236,7 +248,7 @@ def test_built_lenses_and_a_sieve(here, capfd, monkeypatch):
 @pytest.mark.slow
 def test_a_network_that_gets_used_to_each_lens(here):
     """After an epoch of fine-tuning, through PSFs with diffraction; all other photographs are for the training."""
-    more = ("--fine-tune", "1", "--diffraction", "--name", "tuned", "--photographs", "20")
+    more = ("--fine-tune", "1", "--diffraction", "--name", "tuned", "--max-images", "20")
     assert main(["rank", "lenses/sharp.yaml", *COMMAND[2:], *SENSOR, *more]) == 0
     assert "after 1 epochs of fine-tuning" in (here / "results/tuned/ranking.html").read_text()
     study = yaml.safe_load((here / "results/tuned/study.yaml").read_text())
@@ -297,7 +309,7 @@ def test_ranking_in_python_agrees_with_the_command(here):
     network = timm.create_model("test_resnet", num_classes=3)
     network.load_state_dict(load_file("mine.safetensors"))
     lenses = {name: tasklens.load_lens(f"lenses/{name}.yaml") for name in ("sharp", "Fast.2")}
-    result = tasklens.rank(lenses, "photographs", network, size=32, limit=30)
+    result = tasklens.rank(lenses, "photographs", network, size=32, max_images=30)
     assert set(result.table["lens"]) == set(lenses) and (result.table["accuracy"] > 40).all()
     assert "<table" in result._repr_html_() and result.sentences
     result.save("ranking.html", answer=["Mine."])

@@ -70,7 +70,7 @@ def design(
     ] = None,
     object_distance: Annotated[
         float | None,
-        typer.Option("--object", help="Only inf: move the file's object to infinity.", rich_help_panel=_START),
+        typer.Option("--object-distance", help="Only inf: move the file's object to infinity.", rich_help_panel=_START),
     ] = None,
     f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.", rich_help_panel=_SPEC)] = None,
     field_of_view: Annotated[
@@ -118,7 +118,7 @@ def design(
     if start is not None and (elements, diagonal) != (None, None):
         raise InputError("--elements, --diagonal: not allowed with --start, since its lens has them")
     if start is None and (free, configuration, object_distance) != (None, None, None):
-        raise InputError("--free, --configuration, --object: only with --start FILE")
+        raise InputError("--free, --configuration, --object-distance: only with --start FILE")
     if save_network is not None:
         new_file(save_network, force, ".safetensors")
         if method not in TRAINING:

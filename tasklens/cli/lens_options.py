@@ -36,7 +36,7 @@ Focus = Annotated[
 ]
 ObjectDistance = Annotated[
     float | None,
-    typer.Option("--object", help="Distance of the object (mm), or inf.", rich_help_panel=_PANEL),
+    typer.Option("--object-distance", help="Distance of the object (mm), or inf.", rich_help_panel=_PANEL),
 ]
 Catalogues = Annotated[
     list[Path] | None, typer.Option(help="Glass catalogue of a .zmx file (.agf or YAML).", rich_help_panel=_PANEL)

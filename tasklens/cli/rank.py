@@ -36,7 +36,7 @@ def rank(
     outputs: Outputs = "classes",
     argument: Arguments = None,
     size: Size = None,
-    photographs: Annotated[int, typer.Option(min=10, help="Maximum number of photographs.")] = 500,
+    max_images: Annotated[int, typer.Option(min=10, help="Maximum number of photographs.")] = 500,
     diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).", rich_help_panel=_SENSOR)] = 4.0,
     pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).", rich_help_panel=_SENSOR)] = 1.8,
     kernel_size: Annotated[
@@ -48,7 +48,7 @@ def rank(
     ] = None,
     object_distance: Annotated[
         float,
-        typer.Option("--object", help="Distance of the object (mm), or inf.", rich_help_panel=_SENSOR),
+        typer.Option("--object-distance", help="Distance of the object (mm), or inf.", rich_help_panel=_SENSOR),
     ] = math.inf,
     full_well: Annotated[
         float | None,
@@ -105,7 +105,7 @@ def rank(
         **({} if wavelengths is None else {"wavelengths_um": wavelengths.split(",")}),
     }
     paths = ranking.lens_paths(lenses)
-    section = ranking.image_settings(images, 224 if size is None else size, photographs, fine_tune > 0)
+    section = ranking.image_settings(images, 224 if size is None else size, max_images, fine_tune > 0)
     capture = {"diffraction": diffraction, "sensor": None if full_well is None else {"full_well": full_well}}
     tolerances = {} if grade is None else {"grade": grade}
 

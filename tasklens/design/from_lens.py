@@ -224,7 +224,7 @@ def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str
 def _spec(file: LensFile) -> tuple[Spec, View]:
     """Return the specification of a lens, and its view with nine fields."""
     if file.view.object_vergence:
-        raise InputError("designs need an object at infinity: give --object inf, which refocuses the lens")
+        raise InputError("designs need an object at infinity: give --object-distance inf, which refocuses the lens")
     if len(set(file.view.wavelengths_um)) < 3:
         raise InputError("designs need three wavelengths: --wavelengths 0.65,0.55,0.47")
     radius = float(paraxial(file.lens, file.view.reference).entrance_pupil_radius)

@@ -73,7 +73,7 @@ def rank(
     network: nn.Module,
     *,
     size: int = 224,
-    limit: int = 500,
+    max_images: int = 500,
     rays: int = 4096,
 ) -> Ranking:
     """Rank lenses by the accuracy of a network through each, at the fields of its view.
@@ -84,7 +84,7 @@ def rank(
         network: a module from images (B, 3, H, W) in [0, 1] to logits, on a GPU if its parameters are there. The
             images of a timm network are normalised as its `pretrained_cfg` says.
         size: side to which photographs of a folder are resized [pixels].
-        limit: maximum number of images of a folder or of a data set of known length, drawn at random.
+        max_images: maximum number of images of a folder or of a data set of known length, drawn at random.
         rays: number of rays of each field and colour.
 
     Raises:
@@ -98,9 +98,9 @@ def rank(
     ):
         raise InputError('rank: expected lenses by name, such as {"mine": tasklens.load_lens("mine.zmx")}')
     if isinstance(images, str | Path):
-        dataset = user_images.test_images(Path(images), size, limit)
+        dataset = user_images.test_images(Path(images), size, max_images)
     else:
-        dataset = user_images.of_pairs(images, limit)
+        dataset = user_images.of_pairs(images, max_images)
     if not lenses or not len(dataset):
         raise InputError("rank: expected lenses and images")
     user_images.check_classes(dataset)

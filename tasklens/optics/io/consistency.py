@@ -48,5 +48,10 @@ def check_copies(source: Prescription, spec: Mapping[str, Any], view: View, name
                 f"{name}: spec.{key} = {spec[key]} contradicts {others}, from which it is {value:.4g}; restore it, and "
                 "give other values as options, such as --field-of-view or --f-number, or as keywords"
             )
-    if source.wavelengths_um not in (None, view.wavelengths_um):
-        raise FileError(f"{name}: wavelengths_um and spec.wavelengths_um differ; correct one of them")
+    if source.wavelengths_um is not None:
+        primary = source.wavelengths_um[source.primary or 0]
+        if (sorted(source.wavelengths_um), primary) != (sorted(view.wavelengths_um), view.reference):
+            raise FileError(
+                f"{name}: wavelengths_um and primary contradict spec.wavelengths_um, whose middle one is the reference; "
+                "correct one of them"
+            )

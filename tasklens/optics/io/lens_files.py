@@ -76,8 +76,11 @@ def read(
 
     Raises:
         InputError: an object distance that is not positive.
-        FileError: the file is not a lens or has no field, or the object is in the lens.
+        FileError: the file is not a lens or has no field, the object is in the lens, or a catalogue does not exist.
     """
+    for catalogue in catalogues:
+        if not catalogue.is_file():
+            raise FileError(f"{catalogue}: no such file or directory")
     if object_distance_mm is not None:
         check_distance(object_distance_mm)
     if not isinstance(wavelengths_um, Iterable | None):
@@ -126,8 +129,8 @@ def check_distance(distance: Any) -> None:
         raise InputError(f"object_distance_mm: expected a number, got {distance!r}")
     if not (distance > 0 and 1 / distance < math.inf):
         raise InputError(
-            f"object distance {distance:g} (--object, in Python object_distance_mm): expected millimetres in front of "
-            "the first vertex, such as 500, or inf"
+            f"object distance {distance:g} (--object-distance, in Python object_distance_mm): expected millimetres in "
+            "front of the first vertex, such as 500, or inf"
         )
 
 
