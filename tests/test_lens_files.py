@@ -224,7 +224,7 @@ def test_wavelengths_in_the_order_of_the_source_are_no_contradiction(tmp_path):
 
 def test_a_missing_catalogue_is_an_error_for_every_lens(tmp_path):
     """Also for a lens.yaml, which needs none."""
-    with pytest.raises(FileError, match="mine.agf: no such file"):
+    with pytest.raises(FileError, match=r"mine\.agf: no such file"):
         lens_files.read(PUBLISHED / "doublet-imaging2.yaml", [tmp_path / "mine.agf"])
 
 

@@ -52,6 +52,6 @@ def check_copies(source: Prescription, spec: Mapping[str, Any], view: View, name
         primary = source.wavelengths_um[source.primary or 0]
         if (sorted(source.wavelengths_um), primary) != (sorted(view.wavelengths_um), view.reference):
             raise FileError(
-                f"{name}: wavelengths_um and primary contradict spec.wavelengths_um, whose middle one is the reference; "
-                "correct one of them"
+                f"{name}: wavelengths_um and primary contradict spec.wavelengths_um, whose middle one is the "
+                "reference; correct one of them"
             )
