@@ -53,7 +53,7 @@ def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
     designs = {"imaging1": tiny_study()["designs"]["imaging1"]}
     write("study.yaml", dump(parse(tiny_study() | {"designs": designs})))
     assert study("plan", "study.yaml", "--target", "table1", "--json") == 0
-    plan = json.loads(capsys.readouterr().out)
+    (plan,) = json.loads(capsys.readouterr().out)["points"]
     counts = {stage: len(jobs["missing"]) for stage, jobs in plan["jobs"].items()}
     assert counts == {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
     assert plan["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
@@ -69,7 +69,7 @@ def test_a_plan_of_a_study_with_parts_counts_their_jobs(capsys):
     changes = {"designs": designs, "elements": elements, "tables": ["table1"]}
     write("study.yaml", dump(parse(tiny_study() | changes)))
     assert study("plan", "study.yaml", "--json") == 0
-    plan = json.loads(capsys.readouterr().out)
+    (plan,) = json.loads(capsys.readouterr().out)["points"]
     counts = {stage: len(jobs["missing"]) for stage, jobs in plan["jobs"].items()}
     assert plan["study"] == "tiny" and counts["table"] == counts["report_page"] == 2 and counts["design"] == 2
 

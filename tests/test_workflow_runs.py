@@ -111,7 +111,7 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     assert "tiny: nothing to do for table1." in capsys.readouterr().out
     write("faster.yaml", yaml.safe_dump(changed(one_lens(), "spec.f_number", 2.0)))
     assert main(["study", "plan", "faster.yaml", "--target", "table1", "--json"]) == 0
-    report = json.loads(capsys.readouterr().out)
+    (report,) = json.loads(capsys.readouterr().out)["points"]
     assert report["changed"] == ["spec.f_number: 2.8 -> 2.0"]
     again = {stage: len(jobs["rerun"]) for stage, jobs in report["jobs"].items() if jobs["rerun"]}
     assert again == {"design": 1, "fine_tune": 1, "table": 1}

@@ -1,6 +1,5 @@
 """`tasklens study ...`: study files and their results."""
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from tasklens.cli.network_options import nested
-from tasklens.cli.outputs import AsJson, Force, new_file
+from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline import export as exporting
 from tasklens.pipeline.digest import SNAKEFILE
@@ -163,7 +162,7 @@ def plan(
         raise InputError(f"--target {target}: has jobs of the study {others[0]}, not {config.name}; give its file")
     if as_json:
         planned = [_figures(studies[name], jobs, cores) for name, jobs in plans.items()]
-        print(json.dumps({"study": config.name, "points": planned} if config.sweep else planned[0], indent=1))
+        print_json({"study": config.name, "points": planned})
         return
     for name, jobs in plans.items():
         if config.sweep:
@@ -229,9 +228,7 @@ def status(place: Place, as_json: AsJson = False) -> None:
     if not study_runs:
         raise FileError(f"{folder}/run.json: no run of this study; `tasklens study plan` shows what remains")
     if as_json:
-        states = {} if own is None else _state(own)
-        of_points = [_state(run) for run in points]
-        print(json.dumps(states | ({"points": of_points} if of_points else {}), indent=1))
+        print_json({"study": folder.name, "points": [_state(run) for run in study_runs]})
         return
     pairs = [(run, Durations(run.study, run.folder)) for run in study_runs]
     if len(alive := [item for item in pairs if item[0].is_alive]) > 1:
@@ -262,7 +259,7 @@ def diff(
     every_row = differences(*folders)
     rows = [row for row in every_row if every or as_json or row.column.startswith("accuracy")]
     if as_json:
-        print(json.dumps({"changes": [asdict(c) for c in edits], "tables": [asdict(d) for d in rows]}, indent=1))
+        print_json({"changes": edits, "tables": rows})
         return
     print("\n".join(map(str, edits)) or "The configurations are equal.")
     for table in dict.fromkeys(row.table for row in rows):

@@ -29,7 +29,7 @@ class Job:
 
     rule: str
     state: str = WAITING
-    began: float | None = None
+    started: float | None = None
     seconds: float | None = None
     result: str = ""
 
@@ -54,14 +54,14 @@ class Run:
     def begin(self, label: str) -> None:
         """Record that a job begins."""
         if label in self.jobs:
-            self.jobs[label].state, self.jobs[label].began = RUNNING, time.time()
+            self.jobs[label].state, self.jobs[label].started = RUNNING, time.time()
             self.save()
 
     def end(self, label: str, state: str, seconds: float | None = None, result: str = "") -> None:
-        """Record that a job has ended; by default its duration is the time since it began."""
+        """Record that a job has ended; by default its duration is the time since it started."""
         job = self.jobs[label]
         job.state, job.result = state, result
-        job.seconds = time.time() - (job.began or time.time()) if seconds is None else seconds
+        job.seconds = time.time() - (job.started or time.time()) if seconds is None else seconds
         self.save()
 
     def finish(self) -> None:
@@ -92,7 +92,9 @@ class Run:
         """Return the remaining time of a running job [s]: the longer of the estimates by its phase and by its rule."""
         job, progress = self.jobs[label], self.progress(label)
         expected = durations.seconds(job.rule)
-        by_benchmark = None if expected is None or job.began is None else max(0.0, expected - (time.time() - job.began))
+        by_benchmark = (
+            None if expected is None or job.started is None else max(0.0, expected - (time.time() - job.started))
+        )
         by_phase = None
         if progress and "remaining_s" in progress:
             by_phase = max(0.0, progress["remaining_s"] - (time.time() - progress["updated"]))
