@@ -51,7 +51,6 @@ _MODULES = {  # of names that are not in tasklens.notebook
     "Ranking": "tasklens.notebook.ranking",
     "SensorSettings": "tasklens.study.settings",
     "View": "tasklens.optics.view",
-    "design_lens": "tasklens.design.single",
 }
 
 

@@ -118,7 +118,7 @@ def test_joint_design_trains_the_network(images, network):
     mine = copy.deepcopy(network)
     part = {"steps": 2, "pixels": [5, 1], "network_learning_rate": 1e-2}
     settings = PLATES | {"descents": [part]}
-    result = designs("joint", ["COC"], images=images, network=mine, settings=settings, **SPEC)
+    result = designs("joint", ["COC"], images=images, network=mine, settings=settings, spec=SPEC)
     assert all(torch.equal(value, mine.state_dict()[name]) for name, value in network.state_dict().items())
     tasklens.design_lens("joint", ["COC"], images=images, network=mine, settings=settings, **SPEC)
     weights = mine.state_dict()
@@ -347,7 +347,7 @@ def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
         network=network,
         settings=QUICK,
         baselines=("log_image_error", "correlation"),
-        **SPEC,
+        spec=SPEC,
     )
     assert list(result.lenses) == ["log_image_error", "correlation", "task"]
     assert not torch.equal(result.lenses["task"].curvature, result.lenses["correlation"].curvature)

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -140,7 +140,6 @@ def design(
         classifier = network_settings(network, weights, pretrained, outputs, argument)
         if method in TRAINING and save_network is None:
             raise InputError(f"--method {method}: trains the network with the lens; give --save-network FILE for it")
-    specified: dict[str, Any] = {key: value for key, value in spec.items() if value is not None}
     method_settings, constraint_settings = nested(settings or (), "--set"), nested(limits or (), "--limit")
     from tasklens.design import single
     from tasklens.optics.io import lens_files
@@ -166,8 +165,8 @@ def design(
             network=classifier,
             held_out=True,
             baselines=() if test_images is None else single.BASELINES,
+            spec=spec,
             remark=lambda text: say(f"{start}: {text}"),
-            **specified,
         )
     lens, notes = result.lens, result.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])

@@ -1,1 +1,1 @@
-"""Lens design: starts, limits, criteria, descents, least squares; `single.design_lens` designs one lens."""
+"""Lens design: starts, limits, criteria, descents, least squares; `single.designs` designs one lens."""

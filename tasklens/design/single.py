@@ -1,6 +1,5 @@
 """Design of one lens without a study."""
 
-import inspect
 import math
 import tempfile
 import warnings
@@ -26,90 +25,15 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.study import single
-from tasklens.study.messages import suggestion
-from tasklens.study.settings import Spec
 from tasklens.study.study import Study
 from tasklens.study.tables import candidates, lens_design, starts
 
 _IMAGES = 2000  # largest number of images of a folder or a data set
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
-_NOT_KEYWORDS = (
-    "method",
-    "elements",
-    "held_out",
-    "baselines",
-    "remark",
-    "spec",
-)  # of `designs`, no keywords of `design_lens`
 _ELEMENTS = ("COC", "OKP4")
 _SIZE = 224  # side of photographs [pixels]
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
-
-
-def design_lens(
-    method: str | None = None, elements: Sequence[str] | None = None, **settings: Any
-) -> tuple[Lens, View, dict[str, Any]]:
-    """Design one lens, and before it the lenses that its method starts from.
-
-        lens, view, notes = tasklens.design_lens("least_squares", ["COC", "OKP4"], f_number=2.8)
-        tasklens.save_lens("lens.yaml", lens, view, notes)
-
-    A doublet by least squares takes a minute.
-
-    Args:
-        method: least_squares, spot, contrast, log_image_error, correlation; with a network task, joint, end_to_end;
-            None: least_squares, with `start` spot.
-        elements: materials from front to back, by name, built-in or from `catalogues`; None: COC and OKP4. "COC|PMMA"
-            lets the design choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
-
-    Keywords:
-        seed: seed of all random numbers.
-        settings: settings of the method, by the keys of a study file, such as {"evaluations": 2000} or
-            {"descents": {"0": {"steps": 200}}}.
-        constraints: limits that differ from the defaults of a study, such as {"max_track": 6.0} [mm].
-        catalogues: files of further glasses (.agf) or plastics (.yaml).
-        images: folder of photographs, <class>/* or train/<class>/*; or a torch dataset, or pairs (image, label); by
-            default rendered textures. Of more than 2000 images, 2000 are drawn at random. All of them serve the design:
-            rank its lens with others.
-        size: side of the photographs of a folder [pixels], by default 224.
-        network: trained torch.nn.Module from images (B, 3, H, W) in [0, 1] to logits, or its settings, such as
-            {"model": "resnet18", "weights": "resnet.safetensors"}. The images of a timm network are normalised as its
-            `pretrained_cfg` says. The methods joint and end_to_end train a module with the lens; all others leave it as
-            it is.
-        loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image. Images are not
-            augmented unless `settings` has `augment`.
-        start: file of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
-            stay, and limits that it violates are relaxed to its own values.
-        free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
-            None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.
-        f_number, field_of_view_deg, diagonal_mm, pixel_pitch_um, kernel_size, wavelengths_um, aspect: specification;
-            by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 1.8 um, 51 pixels; with `start`, that of the file.
-        configuration, object_distance_mm: of the file of `start`, as in `load_lens`.
-
-    Returns:
-        The lens, the view (fields, wavelengths, pixels), and notes for its file: spec, origin, figures, margins.
-
-    Raises:
-        InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
-    """
-    own = [key for key in inspect.signature(designs).parameters if key not in _NOT_KEYWORDS]
-    keywords = dict.fromkeys([*own, *Spec.model_fields, "configuration", "object_distance_mm"])
-    if unknown := [key for key in settings if key not in keywords]:
-        raise InputError(f"{unknown[0]}: unknown keyword{suggestion(unknown[0], keywords)}")
-
-    network = settings.get("network")
-    if method in single.TRAINING and isinstance(network, Mapping):
-        raise InputError(f"network: {method} trains it with the lens; give a torch.nn.Module, so that you have both")
-
-    def warn(remark: str) -> None:
-        where = f"{settings['start']}: " if isinstance(settings["start"], str | Path) else ""
-        warnings.warn(f"{where}{remark}", stacklevel=5)
-
-    result = designs(method, elements, remark=warn, **settings)
-    if result.trained_weights is not None and isinstance(network, nn.Module):
-        network.load_state_dict(result.trained_weights)
-    return result.lens, result.view, result.notes
 
 
 def designs(
@@ -128,17 +52,19 @@ def designs(
     free: Mapping[str, Sequence[int] | None] | None = None,
     held_out: bool = False,
     baselines: Sequence[str] = (),
+    spec: Mapping[str, Any] | None = None,
     remark: Callable[[str], None] = warnings.warn,
-    **spec: Any,
 ) -> Designs:
     """Design one lens, its starting lenses, and the baselines that it is compared with.
 
     Args:
         held_out: keep photographs apart for a comparison (see `unused_images`).
         baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort.
+        spec: keys of `Spec`, object_distance_mm and configuration; None: the default, or that of the file of `start`.
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
     method = method or ("least_squares" if start is None else "spot")
+    spec = {key: value for key, value in (spec or {}).items() if value is not None}
     if loss is not None and network is None:
         raise InputError("loss: only with a `network`; omit it, or give one")
     if loss is not None:  # labels may be masks or positions, which augmentation would not move
@@ -171,8 +97,8 @@ def designs(
             study_of(combination)  # errors come before the search
 
         def spot(combination: Sequence[str]) -> float:
-            options = {"constraints": constraints, "catalogues": catalogues, "seed": seed, **spec}
-            notes = design_lens("least_squares", combination, settings={"evaluations": _BRIEF}, **options)[2]
+            options: Any = {"constraints": constraints, "catalogues": catalogues, "seed": seed, "spec": spec}
+            notes = designs("least_squares", combination, settings={"evaluations": _BRIEF}, **options).notes
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 
         elements, spots = substitution.sharpest(elements, spot)

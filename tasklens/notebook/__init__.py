@@ -12,6 +12,7 @@ which it is evaluated. Lengths are in mm; wavelengths, pixels and spots are in u
 
 from tasklens.notebook.camera import Camera
 from tasklens.notebook.captures import simulate, simulate_whole_sensor
+from tasklens.notebook.design import design_lens
 from tasklens.notebook.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
 from tasklens.notebook.ranking import Ranking, rank
 
@@ -20,6 +21,7 @@ __all__ = [
     "Ranking",
     "analyse",
     "described",
+    "design_lens",
     "draw",
     "lens",
     "load_lens",

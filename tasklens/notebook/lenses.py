@@ -32,16 +32,31 @@ from tasklens.study.settings import Spec
 _RAYS = 1024  # per field and colour, for the focus
 
 
-def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specification: Any) -> tuple[Lens, View]:
+def load_lens(
+    path: str | Path,
+    catalogues: str | Path | Sequence[str | Path] = (),
+    *,
+    field_of_view_deg: float | None = None,
+    f_number: float | None = None,
+    pixel_pitch_um: float | None = None,
+    kernel_size: int | None = None,
+    wavelengths_um: Sequence[float] | None = None,
+    object_distance_mm: float | None = None,
+    configuration: int | None = None,
+) -> tuple[Lens, View]:
     """Read a lens and its specification from a lens.yaml or a Zemax file (.zmx).
+
+    A value that is given overrides the file.
 
     Args:
         path: the file.
         catalogues: glass catalogues of a Zemax file (.agf, or plastics in YAML).
-        specification: values that override the file: field_of_view_deg (full angle), f_number, pixel_pitch_um,
-            kernel_size (width of PSFs in pixels, odd), wavelengths_um (the middle one is the reference),
-            object_distance_mm (from the object to the first vertex, or infinity); configuration (of a Zemax file with
-            several).
+        field_of_view_deg: full angle.
+        f_number: focal length / entrance pupil diameter.
+        pixel_pitch_um, kernel_size: pixel pitch, and width of PSFs in pixels, odd.
+        wavelengths_um: wavelengths; the middle one is the reference.
+        object_distance_mm: from the object to the first vertex, or infinity.
+        configuration: of a Zemax file with several.
 
     Returns:
         The lens, and the view: nine fields from the axis to the corner, wavelengths, pixels, object distance. If the
@@ -54,7 +69,17 @@ def load_lens(path: str | Path, catalogues: Sequence[str | Path] = (), **specifi
         >>> lens, view = tasklens.load_lens("triplet.zmx", ["SCHOTT.AGF"], pixel_pitch_um=3.0)
     """
     files = [*_paths(catalogues), *user_files()]
-    file = lens_files.read(Path(path), files, **specification)
+    file = lens_files.read(
+        Path(path),
+        files,
+        object_distance_mm,
+        configuration,
+        wavelengths_um,
+        field_of_view_deg=field_of_view_deg,
+        f_number=f_number,
+        pixel_pitch_um=pixel_pitch_um,
+        kernel_size=kernel_size,
+    )
     for remark in file.remarks:
         warnings.warn(f"{path}: {remark}", stacklevel=2)
     return file.lens, file.view
@@ -66,8 +91,10 @@ def lens(
     f_number: float | None = None,
     wavelengths_um: Sequence[float] = Spec.model_fields["wavelengths_um"].default,
     object_distance_mm: float = math.inf,
-    catalogues: Sequence[str | Path] = (),
-    **pixels: Any,
+    catalogues: str | Path | Sequence[str | Path] = (),
+    *,
+    pixel_pitch_um: float | None = None,
+    kernel_size: int | None = None,
 ) -> tuple[Lens, View]:
     """Return a lens defined surface by surface, from the object to the image, and its view.
 
@@ -82,7 +109,7 @@ def lens(
         wavelengths_um: wavelengths; the middle one is the reference; by default the lines C, D, F, as in a study.
         object_distance_mm: from the object to the first vertex.
         catalogues: glass catalogues (.agf, .yaml) in addition to the built-in catalogues.
-        pixels: pixel_pitch_um and kernel_size (width of PSFs in pixels, odd).
+        pixel_pitch_um, kernel_size: pixel pitch, and width of PSFs in pixels, odd; None: the defaults of a study.
 
     Raises:
         InputError: the message names the surface, what is wrong, and what to do.
@@ -106,7 +133,9 @@ def lens(
         raise InputError("wavelengths_um: expected at least one wavelength [um]")
     library = Library([*_paths(catalogues), *user_files()])
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
-    changes = {"field_of_view_deg": field_of_view_deg, **pixels}
+    pixels = {"pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
+    changes = {key: value for key, value in pixels.items() if value is not None}
+    changes["field_of_view_deg"] = field_of_view_deg
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" not in surfaces[-1]:
         file = replace(file, lens=refocused(file.lens, file.view, _RAYS))

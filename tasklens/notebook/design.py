@@ -1,0 +1,120 @@
+"""Design of one lens from Python."""
+
+import warnings
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from tasklens.design.single import designs
+from tasklens.design.supervisors import Loss
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+from tasklens.study.single import TRAINING
+
+
+def design_lens(
+    method: str | None = None,
+    elements: Sequence[str] | None = None,
+    *,
+    seed: int = 0,
+    settings: Mapping[str, Any] | None = None,
+    constraints: Mapping[str, Any] | None = None,
+    catalogues: str | Path | Sequence[str | Path] = (),
+    images: Any = None,
+    size: int | None = None,
+    network: nn.Module | Mapping[str, Any] | None = None,
+    loss: Loss | None = None,
+    start: str | Path | tuple[Lens, View] | None = None,
+    free: Mapping[str, Sequence[int] | None] | None = None,
+    f_number: float | None = None,
+    field_of_view_deg: float | None = None,
+    diagonal_mm: float | None = None,
+    aspect: tuple[float, float] | None = None,
+    pixel_pitch_um: float | None = None,
+    kernel_size: int | None = None,
+    wavelengths_um: Sequence[float] | None = None,
+    object_distance_mm: float | None = None,
+    configuration: int | None = None,
+) -> tuple[Lens, View, dict[str, Any]]:
+    """Design one lens, and before it the lenses that its method starts from.
+
+        lens, view, notes = tasklens.design_lens("least_squares", ["COC", "OKP4"], f_number=2.8)
+        tasklens.save_lens("lens.yaml", lens, view, notes)
+
+    A doublet by least squares takes a minute.
+
+    Args:
+        method: least_squares, spot, contrast, log_image_error, correlation; with a network task, joint, end_to_end;
+            None: least_squares, with `start` spot.
+        elements: materials from front to back, by name, built-in or from `catalogues`; None: COC and OKP4. "COC|PMMA"
+            lets the design choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
+        seed: seed of all random numbers.
+        settings: settings of the method, by the keys of a study file, such as {"evaluations": 2000} or
+            {"descents": {"0": {"steps": 200}}}.
+        constraints: limits that differ from the defaults of a study, such as {"max_track": 6.0} [mm].
+        catalogues: files of further glasses (.agf) or plastics (.yaml).
+        images: folder of photographs, <class>/* or train/<class>/*; or a torch dataset, or pairs (image, label); by
+            default rendered textures. Of more than 2000 images, 2000 are drawn at random. All of them serve the design
+            (the command `tasklens design` keeps a fifth of an unsplit folder apart): rank its lens with others.
+        size: side of the photographs of a folder [pixels], by default 224.
+        network: trained torch.nn.Module from images (B, 3, H, W) in [0, 1] to logits, or its settings, such as
+            {"model": "resnet18", "weights": "resnet.safetensors"}. The images of a timm network are normalised as its
+            `pretrained_cfg` says. The methods joint and end_to_end train a module with the lens; all others leave it as
+            it is.
+        loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image. Images are not
+            augmented unless `settings` has `augment`.
+        start: file of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
+            stay, and limits that it violates are relaxed to its own values.
+        free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
+            None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.
+        f_number, field_of_view_deg, diagonal_mm, aspect, pixel_pitch_um, kernel_size, wavelengths_um: specification;
+            by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 16:9, 1.8 um, 51 pixels; with `start`, that of the
+            file.
+        object_distance_mm, configuration: of the file of `start`, as in `load_lens`.
+
+    Returns:
+        The lens, the view (fields, wavelengths, pixels), and notes for its file: spec, origin, figures, margins.
+
+    Raises:
+        InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
+    """
+    if method in TRAINING and isinstance(network, Mapping):
+        raise InputError(f"network: {method} trains it with the lens; give a torch.nn.Module, so that you have both")
+
+    def warn(remark: str) -> None:
+        where = f"{start}: " if isinstance(start, str | Path) else ""
+        warnings.warn(f"{where}{remark}", stacklevel=5)
+
+    spec = {
+        "f_number": f_number,
+        "field_of_view_deg": field_of_view_deg,
+        "diagonal_mm": diagonal_mm,
+        "aspect": aspect,
+        "pixel_pitch_um": pixel_pitch_um,
+        "kernel_size": kernel_size,
+        "wavelengths_um": wavelengths_um,
+        "object_distance_mm": object_distance_mm,
+        "configuration": configuration,
+    }
+    result = designs(
+        method,
+        elements,
+        seed=seed,
+        settings=settings,
+        constraints=constraints,
+        catalogues=catalogues,
+        images=images,
+        size=size,
+        network=network,
+        loss=loss,
+        start=start,
+        free=free,
+        spec=spec,
+        remark=warn,
+    )
+    if result.trained_weights is not None and isinstance(network, nn.Module):
+        network.load_state_dict(result.trained_weights)
+    return result.lens, result.view, result.notes
