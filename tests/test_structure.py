@@ -26,7 +26,7 @@ FLOORS = [
     ("tasklens.optics.analysis",),
     ("tasklens.optics.tolerancing",),
     ("tasklens.optics.io",),
-    ("tasklens.sensor",),
+    ("tasklens.sensor", "tasklens.convolution"),
     ("tasklens.imaging",),
     ("tasklens.simulation",),
     ("tasklens.recognition",),
