@@ -115,7 +115,7 @@ def through_paraxial_pupil(lens: Lens, view: View, pupil: Tensor, vergence: floa
     Returns:
         Rays (F, W, N) as launched and on the image plane.
     """
-    first_order = paraxial(lens, view.reference)
+    first_order = paraxial(lens, view.reference_um)
     z, tangents = first_order.entrance_pupil_z, view.tangents[:, None, None]
     point = pupil * first_order.entrance_pupil_radius / (1 + z * vergence) - tangents * z
     slope = tangents * (1 + z * vergence) + vergence * point

@@ -67,7 +67,7 @@ def in_optiland(lens: Lens, view: View) -> tuple[Optic, numpy.ndarray]:
         optic.surfaces[lens.stop + 1].set_semi_aperture(radius)
         optic.ray_tracer.set_aiming("iterative", max_iter=30, tol=1e-11)
     else:
-        optic.set_aperture("EPD", 2 * float(paraxial(lens, view.reference).entrance_pupil_radius))
+        optic.set_aperture("EPD", 2 * float(paraxial(lens, view.reference_um).entrance_pupil_radius))
     optic.fields.set_type("angle")
     degrees = numpy.degrees(numpy.arctan(view.tangents.numpy()))
     for x, y in degrees:

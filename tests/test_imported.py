@@ -73,7 +73,7 @@ def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tm
     """By a real ray next to the axis: its slope, and its height in the stop."""
     lens, _ = fit_lens(tmp_path, cooke_triplet())
     h = 1e-5
-    ray, record = trace_full(lens, parallel_rays([h]), lens.refractive_indices((VIEW.reference,)))
+    ray, record = trace_full(lens, parallel_rays([h]), lens.refractive_indices((VIEW.reference_um,)))
     assert -h / float(ray.m / ray.n) == pytest.approx(SPEC.efl_mm, rel=1e-8)
     pupil_radius = float(lens.semi_diameter[lens.stop]) * h / float(record[lens.stop].y)
     assert SPEC.efl_mm / (2 * pupil_radius) == pytest.approx(SPEC.f_number, rel=1e-8)

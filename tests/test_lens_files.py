@@ -49,7 +49,7 @@ def save(tmp_path, **changes) -> lens_files.LensFile:
 def test_wavelengths_are_those_of_the_file(tmp_path, wavelengths, primary, expected):
     """Any number, the primary one in the middle, where the reference is; no remark about them."""
     file = save(tmp_path, wavelengths_um=wavelengths, primary=primary)
-    assert file.view.wavelengths_um == expected and file.view.reference == wavelengths[primary]
+    assert file.view.wavelengths_um == expected and file.view.reference_um == wavelengths[primary]
     assert not any("wavelength" in remark for remark in file.remarks)
     other = lens_files.read(tmp_path / "lens.zmx", wavelengths_um=["0.52"])
     assert other.view.wavelengths_um == (0.52,)

@@ -85,7 +85,7 @@ def test_a_changed_value_leaves_the_others_of_a_saved_lens(tmp_path):
 
 def test_a_built_lens_is_not_saved_as_a_nominal_one(doublet, tmp_path):
     lens, view = doublet
-    melt = Melt(torch.zeros_like(lens.curvature), torch.zeros_like(lens.curvature), view.reference)
+    melt = Melt(torch.zeros_like(lens.curvature), torch.zeros_like(lens.curvature), view.reference_um)
     for name in ("lens.yaml", "lens.zmx"):
         with pytest.raises(InputError, match="remove `pose` and `melt`"):
             tasklens.save_lens(tmp_path / name, replace(lens, melt=melt), view)
@@ -100,7 +100,7 @@ def test_traced_rays_arrive_where_first_order_optics_says(doublet):
     torch.testing.assert_close(rays.l**2 + rays.m**2 + rays.n**2, torch.ones_like(rays.x), rtol=0, atol=1e-12)
     near = replace(view, fields=view.fields * 1e-4)
     chief = tasklens.trace(lens, near, pupil=torch.zeros(1, 2, dtype=torch.float64))
-    first_order = paraxial(lens, view.reference)
+    first_order = paraxial(lens, view.reference_um)
     height = chief.y + (first_order.bfl - lens.thickness[-1]) * chief.m / chief.n
     torch.testing.assert_close(height[:, 1, 0], near.tangents[:, 1] * first_order.efl, rtol=1e-6, atol=1e-12)
 
@@ -327,6 +327,11 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             "free: no setting with the lens of `start`; give it as `free`",
         ),
         (lambda lens, view: tasklens.design_lens("spot", size=64), "size: only for a folder of photographs"),
+        (
+            lambda lens, view: tasklens.rank({"a": (lens, view)}, [(IMAGE, 0)], NETWORK, size=64),
+            "size: only for a folder of photographs",
+        ),
+        (lambda lens, view: tasklens.trace(lens, view, 7, torch.zeros(1, 2)), "rays: not with `pupil`"),
         (lambda lens, view: replace(view, kernel_size=50), "kernel_size: expected an odd number of pixels, got 50"),
     ],
 )

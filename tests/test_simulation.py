@@ -244,7 +244,7 @@ def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
     assert pitch_on_sensor(lens, view, (48, 64)) == 450
     assert pitch_on_sensor(lens, replace(view, pixel_pitch_um=223.0), (96, 128)) == 223  # nearly full: as it was made
     near = replace(view, object_vergence=1 / 300)  # the image of a near object is larger
-    first_order = paraxial(lens, near.reference)
+    first_order = paraxial(lens, near.reference_um)
     object_height = 18 / float(first_order.efl) * (300 + float(first_order.entrance_pupil_z))
     height = abs(magnification(lens, near)) * object_height
     assert height > 1.1 * 18

@@ -70,7 +70,7 @@ def test_drawn_errors_are_normal_and_cut():
 def test_a_lens_without_errors_is_the_design():
     lens, view = doublet()
     all_errors = errors(lens, Grade.model_validate("commercial_moulding"))
-    perfect = with_errors(lens, all_errors, torch.zeros(len(all_errors), dtype=torch.float64), view.reference)
+    perfect = with_errors(lens, all_errors, torch.zeros(len(all_errors), dtype=torch.float64), view.reference_um)
     pupil = sobol_disc(64, seed=0)
     rays, expected = trace_fields(perfect, view, pupil), trace_fields(lens, view, pupil)
     torch.testing.assert_close(rays.x, expected.x, rtol=0, atol=1e-14)

@@ -55,7 +55,7 @@ def test_optiland_reads_a_lens_of_a_study(tmp_path):
     view = view_of_spec(Spec())
     zemax.write(tmp_path / "lens.zmx", with_system_data(Prescription(LENS), view))
     optic = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
-    assert float(optic.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference).efl), rel=5e-4)
+    assert float(optic.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference_um).efl), rel=5e-4)
     assert optic.fields.num_fields == len(view.fields)
     assert optic.fields.max_y_field == pytest.approx(math.degrees(math.atan(float(view.tangents[:, 1].max()))))
     assert [float(wave.value) for wave in optic.wavelengths] == list(view.wavelengths_um)

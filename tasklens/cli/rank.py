@@ -95,6 +95,7 @@ def rank(
     classifier = network_settings(network, weights, pretrained, outputs, argument)
     from tasklens.materials.library import user_files
     from tasklens.pipeline import ranking
+    from tasklens.recognition import user_images
     from tasklens.study import loading
 
     spec = {
@@ -105,7 +106,7 @@ def rank(
         **({} if wavelengths is None else {"wavelengths_um": wavelengths.split(",")}),
     }
     paths = ranking.lens_paths(lenses)
-    section = ranking.image_settings(images, 224 if size is None else size, max_images, fine_tune > 0)
+    section = ranking.image_settings(images, user_images.SIZE if size is None else size, max_images, fine_tune > 0)
     capture = {"diffraction": diffraction, "sensor": None if full_well is None else {"full_well": full_well}}
     tolerances = {} if grade is None else {"grade": grade}
 

@@ -81,7 +81,7 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Rays
     """
     off_axis = view.radii > 0
     points = torch.stack([chief.x, chief.y], -1)[:, 0, 0]
-    power = view.efl * paraxial(lens, view.reference).power
+    power = view.efl * paraxial(lens, view.reference_um).power
     ideal = view.fields * image_scale(lens, view)
     margins = {
         "efl_tolerance": limits.efl_tolerance - (power[None] - 1).abs(),
@@ -137,8 +137,8 @@ def incidence_penalty(lens: Lens, view: View, largest_deg: float) -> Tensor:
 
     The rays are the marginal and chief rays of the middle wavelength at all fields.
     """
-    indices = lens.refractive_indices((view.reference,))
-    rays = launch_fields(lens, view, _INCIDENT, (view.reference,))
+    indices = lens.refractive_indices((view.reference_um,))
+    rays = launch_fields(lens, view, _INCIDENT, (view.reference_um,))
     total, direction = torch.zeros((), dtype=lens.dtype), torch.stack([rays.l, rays.m, rays.n])
     for i in lens.refracting_surfaces:
         shape = {name: getattr(lens, name)[: i + 1] for name in ("curvature", "conic", "alpha", "thickness", "media")}

@@ -227,7 +227,7 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         raise InputError("designs need an object at infinity: give --object-distance inf, which refocuses the lens")
     if len(set(file.view.wavelengths_um)) < 3:
         raise InputError("designs need three wavelengths: --wavelengths 0.65,0.55,0.47")
-    radius = float(paraxial(file.lens, file.view.reference).entrance_pupil_radius)
+    radius = float(paraxial(file.lens, file.view.reference_um).entrance_pupil_radius)
     efl = file.view.efl  # of the specification, if the file has one
     tangent = float(file.view.radii.max()) / efl
     values = {

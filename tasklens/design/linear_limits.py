@@ -113,7 +113,7 @@ class LinearLimits:
         p' and q' behind the lens. A shift in height acts likewise.
         """
         lens, efl = self.lens, self.view.efl
-        indices = lens.refractive_indices((self.view.reference,))[:, 0]
+        indices = lens.refractive_indices((self.view.reference_um,))[:, 0]
         unit = torch.eye(2, dtype=lens.dtype)
         heights, angles = paraxial_ray(*powers_and_thicknesses(lens, indices), *unit)
         height, angle = heights.mT, angles.mT  # (2, S) and (2, S + 1)

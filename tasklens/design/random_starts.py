@@ -59,7 +59,7 @@ def _possible(samples: ndarray, flat: Lens, view: View, limits: Constraints, ste
     The last curvature gives the focal length to a paraxial ray of height 1.
     """
     surfaces, columns = list(flat.refracting_surfaces), torch.from_numpy(samples.T)
-    indices = flat.refractive_indices((view.reference,))[:, 0, None]
+    indices = flat.refractive_indices((view.reference_um,))[:, 0, None]
     thickness = flat.thickness[:, None].repeat(1, len(samples))
     thickness[surfaces[:-1]] = columns[len(surfaces) :]
     curvature = torch.zeros_like(thickness)
@@ -84,12 +84,12 @@ def _focused(sample: ndarray, flat: Lens, view: View, limits: Constraints, steep
     curvature[surfaces[-1]] = 0
     thickness[surfaces[:-1]] = torch.from_numpy(sample[len(surfaces) :])
     lens = replace(flat, curvature=curvature, thickness=thickness)
-    power = paraxial(lens, view.reference).power
+    power = paraxial(lens, view.reference_um).power
     unit = torch.zeros_like(curvature)
     unit[surfaces[-1]] = 1
-    per_curvature = paraxial(replace(lens, curvature=curvature + unit), view.reference).power - power
+    per_curvature = paraxial(replace(lens, curvature=curvature + unit), view.reference_um).power - power
     curvature = curvature + unit * (1 / view.efl - power) / per_curvature
-    bfl = paraxial(replace(lens, curvature=curvature), view.reference).bfl
+    bfl = paraxial(replace(lens, curvature=curvature), view.reference_um).bfl
     thickness = torch.cat([thickness[:-1], bfl[None]])
     if curvature[surfaces[-1]].abs() > steepest or bfl <= limits.min_back_focus or thickness.sum() >= limits.max_track:
         return None

@@ -31,7 +31,6 @@ from tasklens.study.tables import candidates, lens_design, starts
 _IMAGES = 2000  # largest number of images of a folder or a data set
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
 _ELEMENTS = ("COC", "OKP4")
-_SIZE = 224  # side of photographs [pixels]
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
@@ -171,7 +170,7 @@ def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, An
         dataset = user_images.of_pairs(images, _IMAGES)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
-    side, count = _SIZE if size is None else size, _train(Path(images), held_out)
+    side, count = user_images.SIZE if size is None else size, _train(Path(images), held_out)
     return {"folder": str(images), "size": side, "train": count, "minival": 2}, None
 
 
@@ -184,7 +183,7 @@ def _train(folder: Path, held_out: bool) -> int:
 
 def unused_images(folder: Path, size: int | None) -> ImageDataset:
     """Return at most 500 photographs that a design with baselines does not use; raises FileError for fewer than 20."""
-    size = _SIZE if size is None else size
+    size = user_images.SIZE if size is None else size
     if not folder.is_dir():
         raise FileError(f"{folder}: no such folder of images")
     if class_folders.is_split(folder):

@@ -171,7 +171,7 @@ class Supervisor:
         radii = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
         error_list = errors(replace(design, semi_diameter=radii), self.grade)
         peak = focus.peak(lens, view)
-        lenses = [with_errors(lens, error_list, sample, view.reference) for sample in draw(error_list, count, seed)]
+        lenses = [with_errors(lens, error_list, sample, view.reference_um) for sample in draw(error_list, count, seed)]
         return [focus.focused(built_lens, view, peak)[0] for built_lens in lenses]
 
     def trace(self, lens: Lens, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:

@@ -131,8 +131,8 @@ def _f_number(lens: Lens, view: View) -> tuple[float, float] | None:
     """Return the F-number of a lens and its wavelength, if its stop is inside; one in front keeps its radius."""
     if not stop_is_inside(lens):
         return None
-    first_order = paraxial(lens.detached(), view.reference)
-    return float(first_order.f_number), view.reference
+    first_order = paraxial(lens.detached(), view.reference_um)
+    return float(first_order.f_number), view.reference_um
 
 
 def parameter_groups(values: Mapping[str, Tensor], rates: LearningRates) -> list[dict[str, Any]]:

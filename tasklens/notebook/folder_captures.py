@@ -11,7 +11,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.recognition import class_folders, folders
+from tasklens.recognition import class_folders, folders, user_images
 from tasklens.report.image_files import write_captures
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
@@ -28,7 +28,7 @@ def capture_folder(
     output: Path,
     lens: Lens,
     view: View,
-    size: int = 224,
+    size: int = user_images.SIZE,
     field: int | None = None,
     seed: int = 0,
     colour: str | None = None,

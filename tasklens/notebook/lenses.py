@@ -199,12 +199,12 @@ def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
 
 
 @torch.compiler.disable
-def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) -> Rays:
+def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None = None) -> Rays:
     """Trace rays of all F fields and W wavelengths to the image plane; differentiable in the lens.
 
     Args:
-        rays: number N of rays for each field and wavelength, evenly distributed over the stop.
-        pupil: (N, 2) points in the unit disc at which rays pass the stop; None: `rays` evenly distributed points.
+        rays: number N of rays for each field and wavelength, evenly distributed over the stop, by default 256.
+        pupil: (N, 2) points in the unit disc at which rays pass the stop, instead of `rays`.
 
     Returns:
         Rays on the image plane: positions `x`, `y` [mm] and direction cosines `l`, `m`, `n`, each (F, W, N); `valid`
@@ -214,7 +214,9 @@ def trace(lens: Lens, view: View, rays: int = 256, pupil: Tensor | None = None) 
         >>> rays = tasklens.trace(lens, view, rays=64)
         >>> rays.x[rays.valid].std()
     """
-    return trace_fields(lens, view, sobol_disc(rays, seed=0) if pupil is None else pupil)
+    if rays is not None and pupil is not None:
+        raise InputError("rays: not with `pupil`, which has the points")
+    return trace_fields(lens, view, sobol_disc(rays or 256, seed=0) if pupil is None else pupil)
 
 
 @torch.compiler.disable

@@ -72,7 +72,7 @@ def rank(
     images: Any,
     network: nn.Module,
     *,
-    size: int = 224,
+    size: int | None = None,
     max_images: int = 500,
     rays: int = 4096,
 ) -> Ranking:
@@ -83,7 +83,7 @@ def rank(
         images: folder of photographs, test/<class>/* or <class>/*; or a torch data set, or pairs (image, label).
         network: a module from images (B, 3, H, W) in [0, 1] to logits, on a GPU if its parameters are there. The
             images of a timm network are normalised as its `pretrained_cfg` says.
-        size: side to which photographs of a folder are resized [pixels].
+        size: side to which photographs of a folder are resized [pixels], by default 224.
         max_images: maximum number of images of a folder or of a data set of known length, drawn at random.
         rays: number of rays of each field and colour.
 
@@ -98,7 +98,9 @@ def rank(
     ):
         raise InputError('rank: expected lenses by name, such as {"mine": tasklens.load_lens("mine.zmx")}')
     if isinstance(images, str | Path):
-        dataset = user_images.test_images(Path(images), size, max_images)
+        dataset = user_images.test_images(Path(images), user_images.SIZE if size is None else size, max_images)
+    elif size is not None:
+        raise InputError("size: only for a folder of photographs; resize the images of your data set")
     else:
         dataset = user_images.of_pairs(images, max_images)
     if not lenses or not len(dataset):

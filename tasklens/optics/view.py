@@ -65,13 +65,13 @@ class View:
         return torch.where(radius > 0, self.fields / torch.where(radius > 0, radius, 1.0), along_y)
 
     @property
-    def reference(self) -> float:
+    def reference_um(self) -> float:
         """Reference (middle) wavelength [um]."""
         return self.wavelengths_um[len(self.wavelengths_um) // 2]
 
     def in_reference(self) -> "View":
         """Return the view at the reference wavelength only."""
-        return replace(self, wavelengths_um=(self.reference,))
+        return replace(self, wavelengths_um=(self.reference_um,))
 
     def in_colours(self) -> "View":
         """Return the view at three wavelengths for red, green and blue: the longest, the reference, the shortest.
@@ -80,7 +80,7 @@ class View:
         """
         ordered = sorted(set(self.wavelengths_um), reverse=True)
         between = ordered[1:-1]
-        green = self.reference if self.reference in between or not between else between[len(between) // 2]
+        green = self.reference_um if self.reference_um in between or not between else between[len(between) // 2]
         return replace(self, wavelengths_um=(ordered[0], green, ordered[-1]))
 
     def along_y(self, radii: Tensor) -> "View":

@@ -13,6 +13,8 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.image_tensor import image_tensor
 from tasklens.runtime.errors import InputError
 
+SIZE = 224  # side to which photographs of a folder are resized, unless another is given [pixels]
+
 
 def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
     """Return a data set from pairs (image, label) of any length, as torch's data sets have them.

@@ -10,7 +10,7 @@ rule production:
         minival=MINIVAL,
         test=TEST,
     output:
-        lenses="results/{study}/lenses/{lens}/seed{seed}/built-lenses.csv",
+        lenses="results/{study}/lenses/{lens}/seed{seed}/built_lenses.csv",
         error_table="results/{study}/lenses/{lens}/seed{seed}/errors.csv",
         page="results/{study}/lenses/{lens}/seed{seed}/tolerances.md",
     log:
@@ -41,7 +41,7 @@ rule tolerances_table:
         ),
         md="results/{study}/tables/tolerances.md",
         compared_csv=report(
-            "results/{study}/tables/tolerances-compared.csv",
+            "results/{study}/tables/tolerances.compared.csv",
             caption="../report/tolerances.rst",
             category="Tables",
             labels={"study": "{study}", "table": "built lenses, compared"},

@@ -54,10 +54,10 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
 
     Source: Welford, Aberrations of Optical Systems (1986), chapters 8 and 10.
     """
-    wavelengths = (view.reference, min(view.wavelengths_um), max(view.wavelengths_um))
+    wavelengths = (view.reference_um, min(view.wavelengths_um), max(view.wavelengths_um))
     n, shortest, longest = lens.refractive_indices(wavelengths).unbind(-1)
     dispersion = (shortest - longest) / n
-    first_order = paraxial(lens, view.reference)
+    first_order = paraxial(lens, view.reference_um)
     tangent = view.tangents.norm(dim=-1).max()
     z, vergence = first_order.entrance_pupil_z, view.object_vergence
     height = torch.stack([first_order.entrance_pupil_radius / (1 + z * vergence), -tangent * z])
@@ -106,7 +106,7 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
     lens = replace(lens, pose=None)
     start, image, rays_behind = chief_rays_full(lens, view.in_meridian())
     arrives = image.valid[:, 0, 0]
-    index = lens.refractive_indices((view.reference,))[:, 0]
+    index = lens.refractive_indices((view.reference_um,))[:, 0]
     y, z, m, n = (values[arrives, 0, 0] for values in (start.y, start.z, start.m, start.n))
     tangential = sagittal = (torch.ones_like(n), view.object_vergence * n)
     for i, rays in enumerate(rays_behind):

@@ -116,7 +116,7 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
 
 
 def _of_the_lens(lens: Lens, view: View) -> dict:
-    first_order = paraxial(lens, view.reference)
+    first_order = paraxial(lens, view.reference_um)
     f_number = float(first_order.f_number)
     working = abs(float(image_scale(lens, view))) * f_number
     near = {}
@@ -134,8 +134,8 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
         "entrance_pupil_diameter_mm": float(2 * first_order.entrance_pupil_radius),
         "exit_pupil_z_mm": float(first_order.exit_pupil_z),
         "exit_pupil_diameter_mm": float(2 * first_order.exit_pupil_radius),
-        "airy_radius_um": airy_radius(working, view.reference),
-        "diffraction_cutoff_per_mm": diffraction_cutoff(working, view.reference),
+        "airy_radius_um": airy_radius(working, view.reference_um),
+        "diffraction_cutoff_per_mm": diffraction_cutoff(working, view.reference_um),
         "nyquist_per_mm": _nyquist(view),
         "seidel_um": {name: sum(values) for name, values in seidel_by_surface(lens, view).items()},
     }

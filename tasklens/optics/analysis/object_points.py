@@ -29,7 +29,7 @@ def vertex_tangents(lens: Lens, view: View) -> Tensor:
     tangents = view.tangents.to(lens.dtype)
     if not view.object_vergence:
         return tangents
-    from_pupil = 1 + paraxial(lens, view.reference).entrance_pupil_z * view.object_vergence
+    from_pupil = 1 + paraxial(lens, view.reference_um).entrance_pupil_z * view.object_vergence
     tangents = tangents * from_pupil
     if not 0 < abs(float(from_pupil.detach())) < torch.inf:
         raise InputError(
@@ -104,7 +104,7 @@ def image_scale(lens: Lens, view: View) -> Tensor:
     """
     if not view.object_vergence:
         return torch.ones((), dtype=lens.dtype)
-    first_order = paraxial(lens, view.reference)
+    first_order = paraxial(lens, view.reference_um)
     return (1 + first_order.entrance_pupil_z * view.object_vergence) * first_order.power / _convergence(lens, view)
 
 
@@ -119,7 +119,7 @@ def magnification(lens: Lens, view: View) -> float:
 
 def _convergence(lens: Lens, view: View) -> Tensor:
     """Compute -n' u' of the paraxial ray from the axial object point to a height of 1 [1/mm]; raises InputError."""
-    index = lens.refractive_indices((view.reference,))[:, 0]
+    index = lens.refractive_indices((view.reference_um,))[:, 0]
     one = torch.ones((), dtype=lens.dtype)
     heights, angles = paraxial_ray(*powers_and_thicknesses(lens, index), one, index[0] * view.object_vergence * one)
     if not float((heights[-1] / angles[-1]).detach()) < 0:

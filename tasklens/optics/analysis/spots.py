@@ -44,8 +44,8 @@ def chief_rays(lens: Lens, view: View) -> Rays:
 
 def chief_rays_full(lens: Lens, view: View) -> tuple[Rays, Rays, list[Rays]]:
     """Trace rays as `chief_rays` does; return them at launch, on the image plane, and behind every surface."""
-    rays = launch_fields(lens, view, _CENTRE, (view.reference,))
-    return rays, *trace_full(lens, rays, lens.refractive_indices((view.reference,)))
+    rays = launch_fields(lens, view, _CENTRE, (view.reference_um,))
+    return rays, *trace_full(lens, rays, lens.refractive_indices((view.reference_um,)))
 
 
 def has_light(lens: Lens, view: View) -> Tensor:

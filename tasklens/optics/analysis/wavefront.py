@@ -75,7 +75,7 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
         centre = torch.stack([rays.x[..., 0], rays.y[..., 0]], -1)
     elif centre.dim() == 2:
         centre = centre[:, None].expand(-1, len(view.wavelengths_um), -1)
-    vergence = paraxial(lens, view.reference).pupil_vergence
+    vergence = paraxial(lens, view.reference_um).pupil_vergence
     curvature = vergence / torch.sqrt(1 + vergence**2 * centre.square().sum(-1))
     distance, towards, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
     phase = indices[0, :, None] * object_path(lens, view, start)

@@ -50,7 +50,7 @@ def check_copies(source: Prescription, spec: Mapping[str, Any], view: View, name
             )
     if source.wavelengths_um is not None:
         primary = source.wavelengths_um[source.primary or 0]
-        if (sorted(source.wavelengths_um), primary) != (sorted(view.wavelengths_um), view.reference):
+        if (sorted(source.wavelengths_um), primary) != (sorted(view.wavelengths_um), view.reference_um):
             raise FileError(
                 f"{name}: wavelengths_um and primary contradict spec.wavelengths_um, whose middle one is the "
                 "reference; correct one of them"

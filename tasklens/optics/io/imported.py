@@ -44,12 +44,12 @@ def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple
         source.lens.refractive_indices(view.wavelengths_um)
     except ValueError as error:
         raise FileError(f"{name}: {error}") from None
-    efl = float(paraxial(source.lens, view.reference).efl)
+    efl = float(paraxial(source.lens, view.reference_um).efl)
     if not 0 < efl < math.inf:
         raise FileError(f"{name}: focal length {efl:.4g} mm: expected a positive one")
     scale = view.efl / efl
     lens = source.lens.scaled(scale)
-    lens.semi_diameter[lens.stop] = stop_radius(lens, ("f_number", f_number), view.reference)
+    lens.semi_diameter[lens.stop] = stop_radius(lens, ("f_number", f_number), view.reference_um)
     _check_light(lens, view, f_number, name)
     focused = refocused(lens, view, rays)
     return focused, {

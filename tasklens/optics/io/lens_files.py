@@ -203,7 +203,7 @@ def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, 
         kernel_size=changes.get("kernel_size", view.kernel_size),
     )
     if "f_number" in changes:
-        radius = stop_radius(lens, ("f_number", changes["f_number"]), view.reference)
+        radius = stop_radius(lens, ("f_number", changes["f_number"]), view.reference_um)
         at_stop = torch.arange(len(lens.media)) == lens.stop
         lens = replace(lens, semi_diameter=torch.where(at_stop, radius, lens.semi_diameter))
     check_speed(lens, view)

@@ -57,7 +57,7 @@ def check_speed(lens: Lens, view: View) -> None:
     if view.object_vergence:
         check_object(lens, view)
     scale = float(image_scale(lens, view)) if view.object_vergence else 1.0
-    f_number = abs(scale * float(paraxial(lens, view.reference).f_number))
+    f_number = abs(scale * float(paraxial(lens, view.reference_um).f_number))
     if f_number < _FASTEST:
         raise InputError(
             f"F/{f_number:.2g}: faster than F/{_FASTEST}, the limit of a lens that obeys the sine condition, and of "

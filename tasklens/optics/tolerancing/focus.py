@@ -29,7 +29,7 @@ def peak(lens: Lens, view: View) -> Tensor:
 
     It is the vertex of a parabola fitted to the planes around the best one, and differentiable in the lens.
     """
-    first_order = paraxial(lens.detached(), view.reference)
+    first_order = paraxial(lens.detached(), view.reference_um)
     f_number = float(first_order.f_number)
     f_stop = 2 ** (round(2 * math.log2(f_number)) / 2)  # to full stops, so that planes do not move with the lens
     step = _STEP * f_stop / frequency(view)

@@ -38,7 +38,7 @@ def displacements(lens: Lens, view: View, errors: Sequence[Error], rays: int) ->
         return torch.full((len(errors),), torch.inf, dtype=torch.float64)
 
     def points(fractions: Tensor) -> Tensor:
-        moved = trace_fields(with_errors(lens, errors, fractions, view.reference), view, pupil)
+        moved = trace_fields(with_errors(lens, errors, fractions, view.reference_um), view, pupil)
         return torch.stack([moved.x, moved.y])
 
     zero = torch.zeros(len(errors), dtype=torch.float64)
@@ -57,7 +57,7 @@ def traced_displacements(lens: Lens, view: View, errors: Sequence[Error], rays: 
     core = _core(lens, view, nominal)
 
     def squared(fractions: Tensor) -> float:
-        moved = trace_fields(with_errors(lens, errors, fractions, view.reference), view, pupil)
+        moved = trace_fields(with_errors(lens, errors, fractions, view.reference_um), view, pupil)
         valid = core & moved.valid
         if not valid.any(-1).any(-1).all():
             return float("inf")

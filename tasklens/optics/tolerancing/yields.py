@@ -96,7 +96,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
 
 
 def _assembled(lens: Lens, view: View, error_list: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
-    return focus.focused(with_errors(lens, error_list, fractions, view.reference), view, peak)[0]
+    return focus.focused(with_errors(lens, error_list, fractions, view.reference_um), view, peak)[0]
 
 
 def _quality(lens: Lens, view: View) -> Quality:
