@@ -70,7 +70,7 @@ class PsfCamera:
 
     @classmethod
     def of(cls, capture: CaptureSettings, psf: Tensor, illumination: Tensor | None) -> "PsfCamera":
-        """Build the camera for capture settings, from the PSFs and relative illumination of a PSF file."""
+        """Build the camera for capture settings; `illumination` is not used without a sensor."""
         return cls(
             psf,
             colour=capture.colour,
@@ -110,7 +110,7 @@ class PsfCamera:
             sample: (B, 3, H, W) standard normal numbers, the noise of the sensor; None: from torch's default generator.
 
         Raises:
-            InputError: a field that these PSFs do not have, or a sample without a sensor.
+            InputError: a field that these PSFs do not have, or a sample without a sensor or of another shape.
         """
         order: list[int] = []  # image indices sorted by field, an even number per field
         runs = []
@@ -120,6 +120,10 @@ class PsfCamera:
             raise InputError("sample: only for a camera with a `sensor`")
         if self.sensor is not None and sample is None:
             sample = noise(images.shape, torch.default_generator)
+        if sample is not None and sample.shape != images.shape:
+            raise InputError(
+                f"sample: expected the shape of the images, {tuple(images.shape)}, got {tuple(sample.shape)}"
+            )
         for field in sorted(set(numbers)):
             indices = [image for image, other in enumerate(numbers) if other == field]
             start = len(order) // 2

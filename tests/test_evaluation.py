@@ -58,7 +58,7 @@ class Dimming(PsfCamera):
     def all_fields(self, images, generator=None):
         return self.factors * images
 
-    def __call__(self, images, fields, noise=None):
+    def __call__(self, images, fields, sample=None):
         return self.factors[fields, 0] * images
 
 

@@ -203,6 +203,10 @@ def test_psnr_is_taken_per_image():
         (lambda psf, images: PsfCamera(psf)(images, [0, 99]), "fields: expected an index from 0 to"),
         (lambda psf, images: PsfCamera(psf)(images, [0]), "for each of 2 images"),
         (lambda psf, images: PsfCamera(psf)(images, [0, 0], images), "sample: only for a camera with"),
+        (
+            lambda psf, images: PsfCamera(psf, sensor=SensorSettings())(images, [0, 0], images[:, :1]),
+            "sample: expected the shape of the images",
+        ),
         (lambda psf, images: PsfCamera(psf, illumination=torch.ones(len(psf))), "illumination: only with a `sensor`"),
         (
             lambda psf, images: PsfCamera(psf, sensor=SensorSettings(), illumination=torch.ones(9)),

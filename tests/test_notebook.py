@@ -320,7 +320,7 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
         (lambda lens, view: tasklens.design_lens("spot", free={"curvature": None}), "free: only with `start`"),
         (
             lambda lens, view: tasklens.design_lens("spot", ["PMMA"], start=(lens, view)),
-            "elements: not with `start`, whose glasses stay",
+            "elements: not with `start`, whose lens has its own",
         ),
         (
             lambda lens, view: tasklens.design_lens("spot", start=(lens, view), settings={"free": {}}),
@@ -331,6 +331,11 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             lambda lens, view: tasklens.rank({"a": (lens, view)}, [(IMAGE, 0)], NETWORK, size=64),
             "size: only for a folder of photographs",
         ),
+        (
+            lambda lens, view: tasklens.design_lens("spot", start=(lens, view), diagonal_mm=4.0),
+            "diagonal_mm: not with `start`",
+        ),
+        (lambda lens, view: tasklens.trace(lens, view, 0), "rays: expected at least one"),
         (lambda lens, view: tasklens.trace(lens, view, 7, torch.zeros(1, 2)), "rays: not with `pupil`"),
         (lambda lens, view: replace(view, kernel_size=50), "kernel_size: expected an odd number of pixels, got 50"),
     ],

@@ -1,16 +1,18 @@
 """The page of a study: its sentences about verdicts, marked values and missing results."""
 
 import json
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy
 import pandas
 import pytest
 from examples import write
+from rules import workflow
 from safetensors.numpy import save_file
 
 from tasklens.report.optimality import Optimum
-from tasklens.report.page import captures, charts, tables, words
+from tasklens.report.page import assembly, captures, charts, tables, words
 from tasklens.report.verdicts import verdict
 from tasklens.runtime.files import read_table
 from tasklens.study.claims import (
@@ -170,6 +172,13 @@ def test_convergence_names_what_has_not_converged():
     assert second.direction == words.AGAINST
 
 
+def test_optional_tables_are_known_by_the_names_of_their_files():
+    """Each has a caption; another name would be taken for an ablation, and its chart left out."""
+    rules = [workflow().get_rule(f"{name}_table") for name in ("regimes", "merit_function", "tolerances", "tasks")]
+    files = [Path(str(path)) for rule in rules for path in rule.output if str(path).endswith(".csv")]
+    assert len(files) == 5 and set(assembly._by_stem(files)) <= set(assembly._CAPTIONS)
+
+
 TABLE = pandas.DataFrame(
     {
         "elements": ["", "doublet", "doublet", "doublet", "triplet"],
@@ -252,7 +261,7 @@ def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():
     numbers = {"difference": [4.0, 8.0, -1.0], "low": [3.0, 7.0, -2.0], "high": [5.0, 9.0, 0.0]}
     chart = charts.regime_map("map", "Where it pays", pandas.DataFrame(rows | numbers))
     (squares,) = json.loads(chart.json)["data"]
-    assert (squares["x"], squares["y"]) == (["F/2", "F/2.8"], ["2 plastics", "3 plastics"])
+    assert (squares["x"], squares["y"]) == (["F/2", "F/2.8"], ["2 elements", "3 elements"])
     assert squares["z"] == [[None, 6.0], [-1.0, None]]
     assert "triplet_f2 at F/2 -1.0 (-2.0 to +0.0)" in chart.words
     assert charts.regime_map("map", "", pandas.DataFrame(rows | numbers | {"difference": 3 * [numpy.nan]})) is None

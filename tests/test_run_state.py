@@ -297,7 +297,9 @@ def test_status_says_what_runs(place, capsys):
     run.begin("design/1")
     out = status(capsys)
     assert out.splitlines() == ["tiny: 0 of 2 jobs", "  design 1  starting"]
-    (report,) = json.loads(status(capsys, "--json"))["points"]
+    content = json.loads(status(capsys, "--json"))
+    (report,) = content["points"]
+    assert content["study"] == report["study"] == "tiny"
     assert report["alive"] is True and report["jobs"]["design/1"]["state"] == "running"
     assert report["progress"] == {"design/1": None}
 

@@ -228,7 +228,8 @@ def status(place: Place, as_json: AsJson = False) -> None:
     if not study_runs:
         raise FileError(f"{folder}/run.json: no run of this study; `tasklens study plan` shows what remains")
     if as_json:
-        print_json({"study": folder.name, "points": [_state(run) for run in study_runs]})
+        name = folder.resolve().name if own is None else own.study
+        print_json({"study": name, "points": [_state(run) for run in study_runs]})
         return
     pairs = [(run, Durations(run.study, run.folder)) for run in study_runs]
     if len(alive := [item for item in pairs if item[0].is_alive]) > 1:

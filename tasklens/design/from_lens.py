@@ -83,7 +83,7 @@ def design(
 
     Raises:
         InputError: the object is at a finite distance, there are not three wavelengths, no light arrives at a field,
-            surfaces cross, the lens lacks a variable, or `design_lens` raises it.
+            surfaces cross, the lens lacks a variable, or `single.designs` raises it.
     """
     if method == "least_squares":
         raise InputError("method: least_squares starts from random lenses; with `start` choose another method")

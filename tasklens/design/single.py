@@ -31,6 +31,7 @@ from tasklens.study.tables import candidates, lens_design, starts
 _IMAGES = 2000  # largest number of images of a folder or a data set
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
 _ELEMENTS = ("COC", "OKP4")
+_OF_THE_START = ("elements", "diagonal_mm", "aspect")  # what a lens that is improved keeps
 _BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
@@ -74,8 +75,9 @@ def designs(
     catalogues = [catalogues] if isinstance(catalogues, str | Path) else catalogues
     files = [str(path) for path in catalogues]
     if start is not None:
-        if elements is not None:
-            raise InputError("elements: not with `start`, whose glasses stay")
+        for key, value in {"elements": elements, **spec}.items():
+            if value is not None and key in _OF_THE_START:
+                raise InputError(f"{key}: not with `start`, whose lens has its own")
         file = _start(start, [*map(Path, catalogues), *user_files()], spec)
         options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
         result = from_lens.design(file, method, free, *options)

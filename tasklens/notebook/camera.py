@@ -125,6 +125,7 @@ class Camera(nn.Module):
         Raises:
             InputError: images or fields of another shape, or a lens that is not finite.
         """
+        # Wrong fields are refused before the lens is traced.
         indices = field_indices(fields, len(images), len(self.view.fields))
         return self._camera(images)(images, indices).to(images.dtype)
 

@@ -70,9 +70,9 @@ def design_lens(
             stay, and limits that it violates are relaxed to its own values.
         free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
             None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.
-        f_number, field_of_view_deg, diagonal_mm, aspect, pixel_pitch_um, kernel_size, wavelengths_um: specification;
-            by default that of the paper: F/2.8, 68.8 degrees, 4 mm, 16:9, 1.8 um, 51 pixels; with `start`, that of the
-            file.
+        f_number, field_of_view_deg, pixel_pitch_um, kernel_size, wavelengths_um: specification; by default that of the
+            paper: F/2.8, 68.8 degrees, 1.8 um, 51 pixels; with `start`, that of the file.
+        diagonal_mm, aspect: sensor, by default 4 mm and 16:9; not with `start`.
         object_distance_mm, configuration: of the file of `start`, as in `load_lens`.
 
     Returns:

@@ -210,13 +210,16 @@ def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None 
         Rays on the image plane: positions `x`, `y` [mm] and direction cosines `l`, `m`, `n`, each (F, W, N); `valid`
         is false for lost rays.
 
+    Raises:
+        InputError: both `rays` and `pupil`.
+
     Example:
         >>> rays = tasklens.trace(lens, view, rays=64)
         >>> rays.x[rays.valid].std()
     """
     if rays is not None and pupil is not None:
         raise InputError("rays: not with `pupil`, which has the points")
-    return trace_fields(lens, view, sobol_disc(rays or 256, seed=0) if pupil is None else pupil)
+    return trace_fields(lens, view, sobol_disc(256 if rays is None else rays, seed=0) if pupil is None else pupil)
 
 
 @torch.compiler.disable

@@ -15,17 +15,17 @@ from tasklens.optics.surface import Surface
 
 @dataclass(frozen=True)
 class Melt:
-    """Difference of the media of a built lens from their catalogues: n + shift + spread (n - n(reference)).
+    """Difference of the media of a built lens from their catalogues: n + shift + spread (n - n(reference_um)).
 
     Attributes:
-        shift: (S,) change of the index of the medium behind each surface, at `reference`.
+        shift: (S,) change of the index of the medium behind each surface, at `reference_um`.
         spread: (S,) relative change of its dispersion.
-        reference: wavelength of `shift` [um].
+        reference_um: wavelength of `shift`.
     """
 
     shift: Tensor
     spread: Tensor
-    reference: float
+    reference_um: float
 
 
 @dataclass(frozen=True)
@@ -103,7 +103,7 @@ class Lens:
         indices = torch.tensor(_indices(self.media, wavelengths), dtype=self.dtype)
         if self.melt is None:
             return indices
-        at_reference = torch.tensor(_indices(self.media, (self.melt.reference,)), dtype=self.dtype)
+        at_reference = torch.tensor(_indices(self.media, (self.melt.reference_um,)), dtype=self.dtype)
         shift, spread = (torch.cat([v.new_zeros(1), v])[:, None] for v in (self.melt.shift, self.melt.spread))
         return indices + shift + spread * (indices - at_reference)
 

@@ -85,8 +85,9 @@ def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[
         scaled: scale lenses so that their field fills the sensor; otherwise they keep their size.
 
     Raises:
-        InputError: a value of the sensor is invalid.
+        InputError: a value of the sensor is invalid, or a catalogue does not exist.
     """
+    lens_files.check_catalogues(catalogues)
     try:
         sensor = Spec.model_validate(dict(spec))
     except ValidationError as error:

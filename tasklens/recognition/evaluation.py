@@ -13,7 +13,6 @@ from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.runtime.devices import send
 from tasklens.runtime.progress import Progress
 from tasklens.sensor import noise
 
@@ -34,7 +33,7 @@ class CapturePipeline:
             return self._restored(images[share])
         fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
         pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)[share]
-        return self._restored(self.camera(images[share], send(fields[share], images.device), pixel_noise))
+        return self._restored(self.camera(images[share], fields[share], pixel_noise))
 
     def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:
         """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera.

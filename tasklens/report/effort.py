@@ -1,4 +1,4 @@
-"""Effort of each design: lenses tried, and the wall time of its job, as Snakemake measured it."""
+"""Effort of each design: lens evaluations, and the wall time of its job, as Snakemake measured it."""
 
 from collections.abc import Sequence
 from pathlib import Path

@@ -29,8 +29,8 @@ BANDS = numpy.linspace(0, 0.5, 9)  # bounds of the bands [cycles per pixel], up 
 _NOTE = """\
 Study `{study}`. For each classifier before fine-tuning, the loss at a field is fitted by exp(c - sum w M): weights w
 of the mean modulation M in bands of spatial frequency [cycles per pixel], from {fields} fields of {lenses} lenses.
-"r2" is for the logarithm of the loss of lenses that were left out of the fit. "Ranked by supervisor" is the rank
-correlation of the losses with those that the merit function of {supervisor} predicts for lenses left out."""
+"r2" is for the logarithm of the loss of lenses that were left out of the fit. "Rank correlation" is that of
+the losses with those that the merit function of {supervisor} predicts for lenses left out."""
 
 
 def modulation(psf: numpy.ndarray) -> numpy.ndarray:

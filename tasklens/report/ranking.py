@@ -32,6 +32,7 @@ _NOTE = """\
 Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Intervals are 95 % over the
 photographs. "Behind" is the accuracy of the first lens minus that of this one, on the same photographs. Lenses of a
 group cannot be distinguished from the first of the group (paired, by the studentised range, 5 %)."""
+_ZERO_SHOT = " The zero-shot accuracy is among all outputs of the network, the accuracy among those of the classes."
 
 
 @dataclass(frozen=True)
@@ -209,6 +210,7 @@ def make(
     answer = sentences(ranks, facts.titles)
     answer += [text for text in [sieve(ranks, facts.mtf, settings.sieved)] if text is not None]
     left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
+    note += _ZERO_SHOT if "zero_shot_accuracy" in table else ""
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
     publish(csv, md, "Which lens for this network?", table, below)
     drawings = {

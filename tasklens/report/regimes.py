@@ -24,7 +24,7 @@ def collect(claims: Claims, tried: Mapping[str, int], measurements: Measurements
     """Return a row per task-driven lens: specification, difference [points] with interval, RMS spots [um], effort.
 
     Args:
-        tried: number of lenses tried for the design of each lens.
+        tried: number of lens evaluations of each design.
     """
     rows = verdicts.collect(claims, measurements)
     lens_pairs = [

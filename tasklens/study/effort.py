@@ -1,4 +1,4 @@
-"""Effort of the designs of a study: lenses tried, with and without those of the lenses that they were chosen from."""
+"""Effort of the designs of a study: evaluations, with and without those of the lenses that they were chosen from."""
 
 from tasklens.study.design_settings import DesignSettings
 from tasklens.study.least_squares_settings import LeastSquaresSettings
@@ -13,7 +13,7 @@ class Effort(Frozen):
 
     Attributes:
         lens: name of the lens.
-        tried: lenses tried: steps of descents, or evaluations of the least-squares search, without its last tens to
+        tried: lens evaluations: steps of descents, or evaluations of the least-squares search, without its last tens to
             hundreds under strict limits; zero for imported lenses.
         tried_in_all: the same, including those of the lenses in `chosen_from`.
         chosen_from: names of the lenses that may have been its start, of their possible starts, and so on.

@@ -166,7 +166,7 @@ class TailsJob(SeededLenses):
 
 
 class RegimesJob(Frozen):
-    """The table of the gain of task-driven design; `tried` is the number of lenses tried, by lens."""
+    """The table of the gain of task-driven design; `tried` is the number of lens evaluations, by lens."""
 
     claims: Claims
     tried: dict[str, int]

@@ -141,7 +141,7 @@ rule psf_tail_table:
 
 
 rule effort_table:
-    """Make the table of the effort of each design: lenses tried, and wall times, which differ from run to run."""
+    """Make the table of the effort of each design: lens evaluations, and wall times, which differ from run to run."""
     input:
         lenses=lambda w: paths_of(
             rules.design.output.lens, whole_study_of(w), paper_effort.effort(study_of(w)).lens_keys

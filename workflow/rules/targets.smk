@@ -51,7 +51,7 @@ rule psf_tail:
 
 
 rule effort:
-    """Lenses tried, and the time, of each design."""
+    """Lens evaluations and time of each design."""
     input:
         at_points(rules.effort_table.output.csv),
 

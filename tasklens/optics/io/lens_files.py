@@ -23,13 +23,11 @@ from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, positive
-from tasklens.study.messages import problems, suggestion
+from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
 _RAYS = 1024  # per field and colour, for the focus
 _RIM = 64  # marginal rays on the axis
-_CHANGES = ("field_of_view_deg", "f_number", "pixel_pitch_um", "kernel_size")  # keys of `Spec` that may be changed
-_KEYWORDS = (*_CHANGES, "wavelengths_um", "object_distance_mm", "configuration")
 
 
 @dataclass(frozen=True)
@@ -58,7 +56,11 @@ def read(
     object_distance_mm: float | None = None,
     configuration: int | None = None,
     wavelengths_um: Sequence[float | str] | None = None,
-    **changes: Any,
+    *,
+    field_of_view_deg: float | None = None,
+    f_number: float | None = None,
+    pixel_pitch_um: float | None = None,
+    kernel_size: int | None = None,
 ) -> LensFile:
     """Read a lens with its specification.
 
@@ -72,21 +74,24 @@ def read(
         object_distance_mm: distance of the object in front of the first vertex [mm], or infinity; None: as in the file.
         configuration: of a .zmx file with several; None: the one in which it was saved.
         wavelengths_um: wavelengths that replace those of the file; the middle one is the reference [um].
-        changes: keys of `Spec` that differ from the file: field_of_view_deg, f_number, pixel_pitch_um, kernel_size.
+        field_of_view_deg, f_number, pixel_pitch_um, kernel_size: values of `Spec` that replace those of the file.
 
     Raises:
         InputError: an object distance that is not positive.
         FileError: the file is not a lens or has no field, the object is in the lens, or a catalogue does not exist.
     """
-    for catalogue in catalogues:
-        if not catalogue.is_file():
-            raise FileError(f"{catalogue}: no such file or directory")
     if object_distance_mm is not None:
         check_distance(object_distance_mm)
     if not isinstance(wavelengths_um, Iterable | None):
         raise InputError(f"wavelengths_um: expected a list, got {wavelengths_um!r}")
     source, content = read_prescription(path, catalogues, configuration)
-    changes = {key: value for key, value in changes.items() if value is not None}
+    keywords = {
+        "field_of_view_deg": field_of_view_deg,
+        "f_number": f_number,
+        "pixel_pitch_um": pixel_pitch_um,
+        "kernel_size": kernel_size,
+    }
+    changes: Mapping[str, Any] = {key: value for key, value in keywords.items() if value is not None}
     try:
         colours = () if wavelengths_um is None else wavelengths_um  # an array has no truth value
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
@@ -113,14 +118,18 @@ def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
 
 def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return changed values of `Spec`, converted to numbers; raises InputError."""
-    for key in changes:
-        if key not in _CHANGES:
-            raise InputError(f"{key}: unknown keyword{suggestion(key, dict.fromkeys(_KEYWORDS))}")
     try:
         spec = Spec.model_validate(changes)
     except ValidationError as error:
         raise InputError("; ".join(problems(error, Spec))) from None
     return {key: getattr(spec, key) for key in changes}
+
+
+def check_catalogues(catalogues: Sequence[Path]) -> None:
+    """Raise FileError for a catalogue that does not exist."""
+    for catalogue in catalogues:
+        if not catalogue.is_file():
+            raise FileError(f"{catalogue}: no such file or directory")
 
 
 def check_distance(distance: Any) -> None:
@@ -161,6 +170,7 @@ def read_prescription(
     path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None
 ) -> tuple[Prescription, dict]:
     """Read the prescription of a lens from either kind of file, and the content of a YAML file; raises FileError."""
+    check_catalogues(catalogues)
     suffix = path.suffix.lower()
     if suffix == ".zmx":
         return zemax.read(path, catalogues, configuration), {}

@@ -26,7 +26,7 @@ _CAPTIONS = {
     "table4": "Table 4: after image restoration",
     "verdicts": "Verdicts on the paper's claims",
     "psf_tail": "Tails of the PSFs: core (50 % of the light about the chief ray) and light outside three core radii",
-    "effort": "Effort of each design: lens evaluations, and minutes on one core",
+    "effort": "Effort of each design: lens evaluations, and wall time",
     "regimes": "Where it pays: task-driven lens minus the best imaging lens",
     "tolerances": "Built lenses: what each design loses in manufacture",
     "tolerances_compared": "What a task-driven lens loses in manufacture minus what an imaging lens loses [points]",
@@ -186,7 +186,7 @@ def _of_earlier_lenses(path: Path, files: PageFiles) -> str:
 
 
 def _by_stem(paths: Sequence[Path]) -> dict[str, Path]:
-    return {path.stem.replace("-", "_"): path for path in paths}
+    return {path.stem.replace(".", "_"): path for path in paths}
 
 
 def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:

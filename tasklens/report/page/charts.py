@@ -147,7 +147,7 @@ def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[
 
 
 def regime_map(key: str, title: str, table: pandas.DataFrame) -> Chart | None:
-    """Chart the differences of one design as a map: plastics upwards, F-numbers to the right; None without data.
+    """Chart the differences of one design as a map of element count and F-number; None without data.
 
     If a square has several regimes, such as fields of view, it shows the mean of their differences.
     """
@@ -159,7 +159,7 @@ def regime_map(key: str, title: str, table: pandas.DataFrame) -> Chart | None:
     figure = go.Figure()
     figure.add_heatmap(
         x=[f"F/{number:g}" for number in grid.columns],
-        y=[f"{number} plastic{'s' if number > 1 else ''}" for number in grid.index],
+        y=[f"{number} element{'s' if number > 1 else ''}" for number in grid.index],
         z=grid.astype(object).where(grid.notna(), None).to_numpy().tolist(),
         zmin=-largest,
         zmax=largest,
