@@ -133,9 +133,7 @@ def lens(
         raise InputError("wavelengths_um: expected at least one wavelength [um]")
     library = Library([*_paths(catalogues), *user_files()])
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
-    pixels = {"pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
-    changes = {key: value for key, value in pixels.items() if value is not None}
-    changes["field_of_view_deg"] = field_of_view_deg
+    changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" not in surfaces[-1]:
         file = replace(file, lens=refocused(file.lens, file.view, _RAYS))

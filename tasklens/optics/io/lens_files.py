@@ -85,17 +85,17 @@ def read(
     if not isinstance(wavelengths_um, Iterable | None):
         raise InputError(f"wavelengths_um: expected a list, got {wavelengths_um!r}")
     source, content = read_prescription(path, catalogues, configuration)
-    keywords = {
-        "field_of_view_deg": field_of_view_deg,
-        "f_number": f_number,
-        "pixel_pitch_um": pixel_pitch_um,
-        "kernel_size": kernel_size,
-    }
-    changes: Mapping[str, Any] = {key: value for key, value in keywords.items() if value is not None}
     try:
         colours = () if wavelengths_um is None else wavelengths_um  # an array has no truth value
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
-        changes = _validated(changes)
+        changes = _validated(
+            {
+                "field_of_view_deg": field_of_view_deg,
+                "f_number": f_number,
+                "pixel_pitch_um": pixel_pitch_um,
+                "kernel_size": kernel_size,
+            }
+        )
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
         if changes or wavelengths or object_distance_mm is not None:
             content = without_figures(content)
@@ -117,7 +117,8 @@ def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return changed values of `Spec`, converted to numbers; raises InputError."""
+    """Return the values of `Spec` that are not None, converted to numbers; raises InputError."""
+    changes = {key: value for key, value in changes.items() if value is not None}
     try:
         spec = Spec.model_validate(changes)
     except ValidationError as error:
