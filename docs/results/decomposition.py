@@ -166,6 +166,8 @@ def draw(table: pandas.DataFrame, path: Path, headings: Mapping[str, str]) -> No
             title = f"{headings.get(study, study)}\n{elements} ({first['step']} {first['accuracy']:.1f})"
             axis.set_title(title, fontsize="medium", loc="left")
             axis.spines[["top", "right"]].set_visible(False)
+        for axis in axes.flat[len(panels) - columns : len(panels)]:  # the lowest of each column
+            axis.tick_params(labelbottom=True)
         axes[0, 0].set_yticks(range(len(steps)), steps)
         axes[0, 0].set_ylim(len(steps) - 0.4, -0.6)
         axes[0, 0].set_xscale("symlog", linthresh=2)  # least squares is far behind, the last steps are small
