@@ -8,7 +8,14 @@ import torch
 from designs import LIMITS, SPEC, VIEW
 from examples import f64, materials
 
-from tasklens.design.constraints import first_order_margins, manufacturing_margins, penalty, violation, worst_margin
+from tasklens.design.constraints import (
+    first_order_margins,
+    manufacturing_margins,
+    penalty,
+    smallest_margins,
+    violation,
+    worst_margin,
+)
 from tasklens.design.start import flat
 from tasklens.optics.rays import launch
 
@@ -82,6 +89,9 @@ def test_focal_length_and_distortion_margins(start):
     limited = LIMITS.model_copy(update={"max_chief_ray_angle_deg": 33.0})
     angle = first_order_margins(start, limited, longer, chief)["chief_ray_angle"]
     torch.testing.assert_close(angle, torch.full((8,), math.radians(33 - 30), dtype=torch.float64))
+    assert smallest_margins({"chief_ray_angle": angle, "distortion": angle}) == pytest.approx(
+        {"chief_ray_angle": 3.0, "distortion": math.radians(3)}, abs=1e-9
+    )
     assert float(margins["efl_tolerance"]) == pytest.approx(0.02 - (1 - 1 / 1.05), abs=1e-9)
     torch.testing.assert_close(margins["distortion"], torch.full((8,), 0.03 - 0.06, dtype=torch.float64))
 

@@ -155,8 +155,16 @@ def incidence_penalty(lens: Lens, view: View, largest_deg: float) -> Tensor:
     return total
 
 
+def smallest_margins(margins: Mapping[str, Tensor]) -> dict[str, float]:
+    """Return the smallest margin of each limit, in the unit of the limit: the chief ray angle in degrees."""
+    smallest = {name: float(margin.min()) for name, margin in margins.items() if margin.numel()}
+    if "chief_ray_angle" in smallest:
+        smallest["chief_ray_angle"] = math.degrees(smallest["chief_ray_angle"])
+    return smallest
+
+
 def worst_margin(margins: Mapping[str, Tensor]) -> tuple[str, float]:
     """Return name and value of the smallest margin."""
-    worst = {name: float(margin.min()) for name, margin in margins.items() if margin.numel()}
-    name = min(worst, key=lambda key: worst[key] if math.isfinite(worst[key]) else -math.inf)
-    return name, worst[name]
+    smallest = smallest_margins(margins)
+    name = min(smallest, key=lambda key: smallest[key] if math.isfinite(smallest[key]) else -math.inf)
+    return name, smallest[name]

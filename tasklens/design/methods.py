@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.design import descents, least_squares
-from tasklens.design.constraints import all_margins, worst_margin
+from tasklens.design.constraints import all_margins, smallest_margins, worst_margin
 from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
@@ -139,7 +139,7 @@ def with_notes(
         "spec": plan.spec.model_dump(mode="json"),
         "origin": origin,
         "figures": figures(lens, view, plan.rays),
-        "margins": {key: float(margin.min()) for key, margin in margins.items() if margin.numel()},
+        "margins": smallest_margins(margins),
         "worst_margin": {"limit": name, "value": value},
     }
     return lens, notes

@@ -73,7 +73,7 @@ HEADINGS = {
     "worst_margin": Heading(
         "worst margin",
         *("", "+.3f"),
-        meaning="Distance to the nearest limit, in its own unit (mm, rad, or none); negative: violated",
+        meaning="Distance to the nearest limit, in its own unit (mm, degrees, or none); negative: violated",
     ),
     "failed": Heading(
         "failed",

@@ -10,7 +10,7 @@ from tasklens.optics.tolerancing.errors import DEVIATION
 from tasklens.report.publish import right_aligned
 
 _SHOWN = 3  # number of most sensitive parts on the page
-UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "rad"}
+UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "deg"}
 
 
 def markdown(
@@ -23,7 +23,7 @@ def markdown(
     """Return the section of a lens' page: a verdict in words, and its tables.
 
     Args:
-        margins: margin of each limit [mm; slopes and fractions without unit], negative if the limit is violated.
+        margins: margin of each limit [mm; degrees; slopes and fractions without unit], negative if it is violated.
         shapes: shapes of the surfaces.
         errors_um: displacement of the core's rays by each error, at the size of its tolerance [um].
         grade: name of the tolerance grade.
