@@ -12,11 +12,21 @@ import pytest
 import torch
 from designs import LIMITS, SPEC, VIEW, spot_descent
 from examples import materials
+from threadpoolctl import threadpool_limits
 
 from tasklens.design.random_starts import random_starts
 from tasklens.design.start import flat
 
 torch.set_num_threads(1)
+
+
+@pytest.fixture
+def two_threads():
+    """Two threads of torch, numpy and scipy during a test."""
+    with threadpool_limits(2):
+        torch.set_num_threads(2)
+        yield
+        torch.set_num_threads(1)
 
 
 @pytest.fixture(scope="session")

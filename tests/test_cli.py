@@ -1,5 +1,6 @@
 """Jobs of a study of a few seconds: their files and their errors."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -67,6 +68,15 @@ def lenses(workplace):
     design("end_to_end_from_imaging")
     fine_tune("sharp")
     return workplace
+
+
+@pytest.mark.parametrize(("environment", "policy"), [({}, "PASSIVE"), ({"OMP_WAIT_POLICY": "ACTIVE"}, "ACTIVE")])
+def test_waiting_threads_sleep_unless_the_user_decides(environment, policy):
+    """From before torch is imported, which reads it once."""
+    program = "import os, sys; from tasklens.runtime.job import run_program; "
+    program += "run_program(lambda: print(os.environ['OMP_WAIT_POLICY'], 'torch' in sys.modules), None)"
+    done = subprocess.run([sys.executable, "-c", program], env=os.environ | environment, capture_output=True, text=True)
+    assert done.stdout.split() == [policy, "False"]
 
 
 def test_a_program_ends_with_its_status_and_all_that_it_printed(workplace):

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 import torch
+from threadpoolctl import threadpool_info
 
 from tasklens.runtime import devices, locks
 from tasklens.runtime.distributed import process_group
@@ -119,6 +120,17 @@ def test_a_process_group_larger_than_the_machine_is_refused(monkeypatch):
     monkeypatch.setenv("WORLD_SIZE", "3")
     with pytest.raises(InputError, match="3 processes need one GPU each, but this machine has 2"), process_group():
         pass
+
+
+def test_one_thread_for_small_matrices(two_threads):
+    """Of torch, numpy and scipy, which have two before and after."""
+
+    def threads() -> set[int]:
+        return {torch.get_num_threads(), *(pool["num_threads"] for pool in threadpool_info())}
+
+    with devices.single_thread():
+        assert threads() == {1}
+    assert threads() == {2}
 
 
 def test_networks_compute_in_single_precision_on_the_cpu():

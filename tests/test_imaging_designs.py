@@ -169,6 +169,12 @@ def test_a_search_makes_a_better_lens(search):
     assert float(strict.residuals(lens).norm()) == pytest.approx(history[-1]["rms_um"], rel=1e-9)
 
 
+def test_a_search_uses_one_thread(search, two_threads):
+    """So the lens does not depend on the number of cores."""
+    lens, history = searched()
+    assert torch.equal(lens.alpha, search[0].alpha) and history == search[1]
+
+
 def test_a_perturbation_that_makes_it_worse_is_forgotten(monkeypatch):
     """Two evaluations from plane plates give nothing better, so the earlier lens is returned."""
     plates = flat(PLASTICS, SPEC, LIMITS)

@@ -21,6 +21,7 @@ from tasklens.design.variables import ORDERS, Variables
 from tasklens.optics.analysis import vignetting
 from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
+from tasklens.runtime.devices import single_thread
 from tasklens.runtime.progress import Progress
 from tasklens.study.least_squares_settings import LeastSquaresSettings
 
@@ -180,6 +181,7 @@ class _Search:
         return error, candidate[1], lens
 
 
+@single_thread()
 def design(
     flat: Lens, problem: Problem, settings: LeastSquaresSettings, checkpoint: Checkpoint = NO_CHECKPOINT
 ) -> tuple[Lens, History]:

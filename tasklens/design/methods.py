@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Mapping
+from contextlib import nullcontext
 from functools import cache
 from typing import Any
 
@@ -27,6 +28,7 @@ from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Classification, Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
+from tasklens.runtime.devices import single_thread
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import ImportedLens, LensDesign
@@ -107,14 +109,16 @@ def design(
     else:
         start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
-    lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
-    repaired = repair(lens, view, plan.constraints, free)
-    keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none
-    final_lens, notes = with_notes(*repaired, plan, origin | details, keep_apertures)
-    network = None
-    if plan.entry.supervised:
-        notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
-        network = supervisor.criterion.network if isinstance(supervisor.criterion, JointTaskLoss) else None
+    has_captures = any(part.criterion not in ("spot", "contrast") for part in settings.descents)
+    with nullcontext() if has_captures else single_thread():  # without captures all tensors are small
+        lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
+        repaired = repair(lens, view, plan.constraints, free)
+        keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none
+        final_lens, notes = with_notes(*repaired, plan, origin | details, keep_apertures)
+        network = None
+        if plan.entry.supervised:
+            notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
+            network = supervisor.criterion.network if isinstance(supervisor.criterion, JointTaskLoss) else None
     return final_lens, notes, history, network
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import torch
 from filelock import FileLock
+from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from tasklens.runtime.errors import InputError
@@ -70,11 +71,15 @@ def send(tensor: Tensor, device: torch.device) -> Tensor:
 
 @contextmanager
 def single_thread() -> Iterator[None]:
-    """Make torch use one thread: sums over several threads differ in the last digit, and then images by a level."""
+    """Make torch, numpy and scipy use one thread: sums over several threads differ in the last digit.
+
+    Small matrices are not faster in several threads, and ten times slower if another process uses their cores.
+    """
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
-        yield
+        with threadpool_limits(1, user_api="blas"):
+            yield
     finally:
         torch.set_num_threads(threads)
 

@@ -82,12 +82,14 @@ def run_program(program: Callable[[], object], log: Path | None) -> NoReturn:
     """Run a program, and end the process with its `exit_status`.
 
     Freed memory stays with the process. It ends without freeing every object, since that takes longer than some jobs;
-    all files are complete by then.
+    all files are complete by then. Waiting threads sleep: on cores that other programs use, they delay the others if
+    they spin, and a tolerance analysis takes ten times as long.
 
     Args:
         log: file for standard error; None: standard error stays as it is.
     """
     keep_memory()
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported
     if log is not None and "RANK" not in os.environ:  # a process of a group inherits the log of its parent
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "w") as file:
