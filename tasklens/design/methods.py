@@ -109,8 +109,8 @@ def design(
     else:
         start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
-    has_captures = any(part.criterion not in ("spot", "contrast") for part in settings.descents)
-    with nullcontext() if has_captures else single_thread():  # without captures all tensors are small
+    reads_images = any(part.reads_images for part in settings.descents)
+    with nullcontext() if reads_images else single_thread():  # without images all tensors are small
         lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
         repaired = repair(lens, view, plan.constraints, free)
         keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none

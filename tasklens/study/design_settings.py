@@ -34,7 +34,7 @@ OPTIMIZER_KEYS = {  # keys of a descent that only one optimizer reads
 }
 
 
-_UNREAD = {"spot": ("centre", "size", "batch_size"), "contrast": ("size", "batch_size")}  # keys by criterion
+_UNREAD = {"spot": ("centre", "size", "batch_size"), "contrast": ("size", "batch_size")}  # of criteria without images
 
 
 class DescentSettings(Frozen):
@@ -126,6 +126,11 @@ class DescentSettings(Frozen):
         if "final" in changed and self.optimizer == "ray_space" and self.duration == 1 and not self.trains_network:
             raise ValueError("final: no effect in ray space with `duration: 1` and a frozen network")
         return self
+
+    @property
+    def reads_images(self) -> bool:
+        """True if the criterion judges captures, not rays or PSFs alone."""
+        return self.criterion not in _UNREAD
 
     @property
     def trains_network(self) -> bool:
