@@ -73,7 +73,9 @@ def outputs(before: float) -> dict[str, bytes]:
     return {str(path): path.read_bytes() for path in paths if path.stat().st_mtime >= before}
 
 
-@pytest.mark.parametrize("job", [pytest.param(job, marks=pytest.mark.slow) if job == "task" else job for job in JOBS])
+@pytest.mark.parametrize(
+    "job", [pytest.param(job, marks=pytest.mark.slow) if job in ("task", "end_to_end") else job for job in JOBS]
+)
 def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
     """To the last bit, in every file, wherever it is killed; at the end the checkpoint is gone."""
     monkeypatch.setattr(evaluation, "_BATCH", 8)

@@ -93,6 +93,7 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
     assert not torch.equal(first, other) and torch.equal(first, alone) and first.any()
 
 
+@pytest.mark.slow
 def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys):
     """From a lens file, with its glasses; start and network are the given ones."""
     assert design(*QUICK, "-o", "start.yaml") == 0

@@ -180,6 +180,7 @@ def check_yaml_lens(path: Path, lens: prescription.Prescription) -> None:
         assert same_prescription(prescription.read(path)[0], lens)
 
 
+@pytest.mark.slow
 @examples(350)
 @given(changed_content(LENS))
 def test_a_lens_file_is_read_or_refused(folder, content):

@@ -67,6 +67,7 @@ def test_another_workflow_uses_ours_as_a_module(tmp_path, other, reference_resul
     assert "Nothing to be done" in forked(tmp_path, None, *other(prefix), "copy")[1]
 
 
+@pytest.mark.slow
 def test_studies_by_their_names_in_one_run(tmp_path):
     """Studies of the local `config` folder and of the package; the configuration changes only its own study."""
     (tmp_path / "config").mkdir()

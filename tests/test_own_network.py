@@ -338,6 +338,7 @@ def test_unused_outputs_of_a_module_that_is_not_of_timm():
     assert not Classifier(network, torch.arange(1000)).has_more_outputs and not Classifier(network).has_more_outputs
 
 
+@pytest.mark.slow
 def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
     """With the same candidate starts and number of steps; better or worse only if the interval says so."""
     result = designs(

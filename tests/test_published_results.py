@@ -37,6 +37,7 @@ DOUBLETS = Claims(
 )
 
 
+@pytest.mark.slow
 def test_published_intervals_are_those_of_the_published_answers(monkeypatch):
     monkeypatch.setattr("sys.argv", ["recompute.py"])
     assert recompute.main() == 0

@@ -202,6 +202,7 @@ def test_an_aperture_that_stops_the_chief_ray_darkens_the_corner():
     assert grey.isfinite().all() and float(grey[1, 1, 1]) < float(grey[1, 48, 64])
 
 
+@pytest.mark.slow
 def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_corner():
     lens, view = blurred()
     shape, pitch = (97, 129), 220.0
@@ -280,6 +281,7 @@ def test_the_chart_is_grey_where_lines_are_finer_than_pixels_and_the_same_upside
     assert float(star[18:22, 18:22].std()) < 0.2 < float(star.std())
 
 
+@pytest.mark.slow
 def test_a_distorted_image_is_differentiable_in_the_lens():
     """The origin of a pixel's light moves with the lens, too; the illumination is held constant."""
     lens, view = blurred()
@@ -301,6 +303,7 @@ def test_a_distorted_image_is_differentiable_in_the_lens():
     assert torch.autograd.grad(corner(start, held=True), start)[0].isfinite().all()
 
 
+@pytest.mark.slow
 def test_a_person_simulates_the_whole_sensor(tmp_path, capsys):
     """The command writes what `simulate_whole_sensor` returns, and refuses options that would have no effect."""
     lens, view = blurred()

@@ -158,6 +158,7 @@ CHAINS = [  # each job leaves out at least what the next ones do, so that one pr
 ]
 
 
+@pytest.mark.slow
 def test_jobs_import_what_they_use():
     """Imports took nine tenths of the time of a short job. Chains are imported by forks of a process with torch."""
     assert {job for chain in CHAINS for job in chain} == UNUSED.keys()

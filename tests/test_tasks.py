@@ -309,6 +309,7 @@ def with_tasks(**design) -> dict:
     return changed(study, "designs.for_boxes", TASK_DRIVEN | design)
 
 
+@pytest.mark.slow
 def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
     """By its frozen network, on images with objects, from an imaging lens; it appears only in the tasks' table."""
     monkeypatch.chdir(tmp_path)

@@ -157,6 +157,7 @@ def test_a_job_computes_what_its_run_was_started_with(tmp_path):
     assert len(read_rows(tmp_path / lens.replace("lens.yaml", "history.csv"))) == 4
 
 
+@pytest.mark.slow
 def test_a_failing_job_leaves_no_output(tmp_path):
     """An unreadable image: the images job fails, names the file in its log, and leaves no split behind."""
     from PIL import Image

@@ -39,6 +39,7 @@ def test_spots_deviate_in_proportion_to_small_errors(fine_tolerances):
     assert finer.design == fine_tolerances.design and len(fine_tolerances.built) == 20
 
 
+@pytest.mark.slow
 def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(fine_tolerances):
     """For the same lens, the ratio of allotted tolerances to the grade falls for a coarser grade."""
     coarse = yields.tolerances(cooke_triplet(), VIEW, Grade.model_validate("commercial_moulding"), 20, 0)
