@@ -4,9 +4,11 @@ import os
 import unicodedata
 
 import pytest
+import torch
 from examples import write
 from PIL import Image
 
+from tasklens.design.single import unused_images
 from tasklens.recognition import class_folders, dataset, folders
 from tasklens.runtime.files import FileError
 from tasklens.study.job_settings import folder_digest
@@ -187,7 +189,7 @@ def test_photographs_that_cannot_be_read_are_counted(tmp_path):
 
 
 def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
-    """Classes take turns, each photograph is used once; the split without a number gets the rest."""
+    """Each photograph is used once; the split without a number gets the rest."""
     for name in ("cat", "dog"):
         (tmp_path / name).mkdir()
         for k in range(6):
@@ -209,3 +211,16 @@ def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
     ):
         with pytest.raises(FileError, match=words):
             class_folders.check(settings.model_copy(update=wrong))
+
+
+def test_each_split_has_every_class_in_proportion(tmp_path):
+    """A class of a tenth of the size is a tenth in every split, and in photographs held out from a design."""
+    for name, count in (("cat", 60), ("dog", 60), ("lynx", 6)):
+        (tmp_path / name).mkdir()
+        for k in range(count):
+            Image.new("RGB", (20, 20)).save(tmp_path / name / f"{k}.png")
+    paths = {split: (tmp_path / f"{split}.npy", tmp_path / f"{split}.json") for split in ("train", "minival", "test")}
+    dataset.make(ImageSettings(size=16, folder=tmp_path, test=42, minival=42), paths)
+    for files in paths.values():
+        assert torch.bincount(dataset.read(*files).labels).tolist() == [20, 20, 2]
+    assert torch.bincount(unused_images(tmp_path, 16).labels).tolist() == [12, 13, 1]

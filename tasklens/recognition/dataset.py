@@ -93,7 +93,7 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
 
 
 def _cut(images: ImageSettings, photographs: folders.Listing) -> tuple[folders.Listing, ...]:
-    """Split photographs into train, minival and test; the listing alternates between the classes."""
+    """Split photographs into train, minival and test, each with the classes in proportion."""
     rest = len(photographs) - images.minival
     test = images.test if images.test is not None else rest - (images.train or 0)
     train = images.train if images.train is not None else rest - test

@@ -37,7 +37,9 @@ class Listing:
 
 
 def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Listing:
-    """Select at most `limit` photographs in folder/<name>/<class>/*, balanced over classes and at random by `seed`.
+    """Select at most `limit` photographs in folder/<name>/<class>/*, at random by `seed`.
+
+    Every part of their order has the classes in proportion to their sizes.
 
     Args:
         names: possible names of the split's folder; the first that exists is taken.
@@ -54,11 +56,11 @@ def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Li
         if not files:
             raise class_folders.no_image(split / name)
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
-    rounds = max(map(len, per_class))
-    selection = [(files[i], k) for i in range(rounds) for k, files in enumerate(per_class) if i < len(files)][:limit]
+    places = [((i + 0.5) / len(files), k, file) for k, files in enumerate(per_class) for i, file in enumerate(files)]
+    selection = sorted(places)[:limit]
     return Listing(
-        tuple(file for file, _ in selection),
-        torch.tensor([k for _, k in selection]),
+        tuple(file for _, _, file in selection),
+        torch.tensor([k for _, k, _ in selection]),
         tuple(map(class_folders.composed, classes)),
     )
 
