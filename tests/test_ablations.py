@@ -12,7 +12,7 @@ from study_results import write_results
 from tasklens.report.verdicts import HOLDS
 from tasklens.study import claims
 from tasklens.study.loading import dump, parse
-from tasklens.study.settings import CaptureSettings
+from tasklens.study.settings import CaptureSettings, SensorSettings
 from tasklens.study.study import StudyError
 
 FINE = {"descents": {"0": {"pixels": [1, 1]}}}  # the first descent, changed
@@ -49,6 +49,14 @@ def test_a_variant_of_the_capture_is_designed_and_measured_with_it():
     assert capture("design", lens) == capture("restore", lens) == renormalised
     assert all(capture(rule, lens, measured_name="small") == renormalised for rule in ("fine_tune", "reproduce"))
     assert capture("design", "singlet-tasklens") == study.capture != renormalised
+
+
+def test_a_variant_of_the_capture_keeps_what_it_does_not_name():
+    """Of a sensor, too, only the named key changes."""
+    study = changed(tiny_study(), "capture", {"colour": "linear", "sensor": {"full_well": 800}})
+    ablation = RAYS | {"variants": {"dark": {"capture": {"sensor": {"gain": 16}}}}}
+    entry = parse(changed(study, "ablations.mine", ablation)).variant("mine", "dark")
+    assert entry.capture == CaptureSettings(colour="linear", sensor=SensorSettings(full_well=800, gain=16))
 
 
 def test_an_ablation_changes_its_own_jobs_and_no_others():
@@ -100,6 +108,10 @@ def test_variants_of_a_search_that_ends_at_a_spot_are_compared():
         parse(study)
     variant = parse(changed(study, "ablations.mine.variants.same.spot_um", 6)).variant("mine", "same")
     assert variant.design.spot_um == 6
+    by_elements = parse(changed(study, "ablations.mine.variants.same.spot_um", {"singlet": 7}))
+    assert by_elements.variant("mine", "same").design.spot_um == 7
+    with pytest.raises(StudyError, match=r"variants\.same\.spot_um: expected a value for singlet"):
+        parse(changed(study, "ablations.mine.variants.same.spot_um", {"doublet": 7}))
 
 
 def test_a_variant_that_is_called_like_a_design_is_refused():

@@ -274,3 +274,14 @@ def test_an_imported_lens_has_a_specification_of_its_own():
         parse(changed(with_imported(), "imported.phone.spec", {"f_numbr": 2.0}))
     with pytest.raises(StudyError, match=r"spec\.object_distance_mm: designs need an object at infinity"):
         parse(changed(with_imported(), "spec.object_distance_mm", 100))
+
+
+def test_a_design_starts_from_a_lens_of_its_own_specification():
+    """Its F-number would be that of the start; the PSF window of the start does not matter."""
+    study = changed(with_imported(), "imported.phone.elements", "singlet")
+    study = changed(study, "designs.image_error.start", ["phone"])
+    same = {"kernel_size": 13, "f_number": parse(tiny_study()).spec.f_number}
+    assert parse(changed(study, "imported.phone.spec", same))
+    words = r"designs\.image_error\.start: imported\.phone\.spec has another f_number than the design"
+    with pytest.raises(StudyError, match=words):
+        parse(changed(study, "imported.phone.spec", {"f_number": 2.0}))

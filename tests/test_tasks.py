@@ -16,6 +16,7 @@ from torch import nn
 
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.supervision import Supervisor
+from tasklens.materials.catalogues import PLASTICS
 from tasklens.optics.io import prescription
 from tasklens.pipeline.outcome import outcome
 from tasklens.recognition import object_scenes, object_splits, objects, task_networks, training
@@ -348,3 +349,14 @@ def test_other_fine_tuning_of_a_task_designs_no_lens_again():
 def test_designs_that_do_not_fit_their_task(change, words):
     with pytest.raises(StudyError, match=words):
         parse(with_tasks(**change))
+
+
+def test_variants_and_imported_lenses_fit_the_tasks():
+    """Variants name their tasks as designs do; the window of an imported lens is smaller than the scenes."""
+    variants = {"elements": "singlet", "design": "for_boxes", "variants": {"deep": {"task": "depth"}}}
+    with pytest.raises(StudyError, match=r"ablations\.mine\.variants\.deep\.task: 'depth' is not one of"):
+        parse(changed(with_tasks(), "ablations.mine", variants))
+    phone = {"elements": "phone", "file": str(PLASTICS), "spec": {"kernel_size": 65}}
+    study = changed(changed(with_tasks(), "images.size", 64), "imported.phone", phone)
+    with pytest.raises(StudyError, match=r"imported\.phone: half of its kernel_size = 65 .* tasks\.scenes\.size = 32"):
+        parse(study)

@@ -7,6 +7,7 @@ from pydantic import Field, TypeAdapter
 
 from tasklens.study.design_settings import DesignSettings
 from tasklens.study.layers import merged_settings
+from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import LensEntry
 from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, Frozen
@@ -50,13 +51,16 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
     if other is not None:
         capture.check_new_sensor(other, f"ablations.{name}.variants.{variant}.capture")
     design_name = ablation.name(name, variant)
+    design = _DESIGN.validate_python(merged_settings(base.design.model_dump(), changes))
+    if isinstance(design, LeastSquaresSettings):
+        design = design.of_elements(base.elements)
     return LensEntry(
         name=f"{base.elements}-{design_name}",
         elements=base.elements,
         plastics=base.plastics,
         design_name=design_name,
-        design=_DESIGN.validate_python(merged_settings(base.design.model_dump(), changes)),
-        capture=None if other is None else CaptureSettings.model_validate(capture.model_dump() | other),
+        design=design,
+        capture=None if other is None else CaptureSettings.model_validate(merged_settings(capture.model_dump(), other)),
     )
 
 

@@ -59,13 +59,13 @@ def _check_names(study: Study) -> None:
             raise ValueError(f"restored: {name!r} is not one of {', '.join(elements)}")
 
 
-def _check_references(study: Study, where: str, design: DesignSettings) -> None:
+def _check_references(study: Study, where: str, design: DesignSettings | ImportedLens) -> None:
     """Check the names of elements and of a task in a design."""
     if isinstance(design, LeastSquaresSettings):
         spots = design.spot_um if isinstance(design.spot_um, dict) else study.elements
         if missing := [elements for elements in study.elements if elements not in spots]:
             raise ValueError(f"{where}.spot_um: expected a value for {', '.join(missing)}, too")
-    elif design.task is not None:
+    elif isinstance(design, GradientDesignSettings) and design.task is not None:
         networks = study.tasks.networks
         if design.task not in networks:
             raise ValueError(
@@ -93,6 +93,12 @@ def _check_ablation(study: Study, name: str) -> None:
         if design_names.count(lenses[variant].design_name) > 1:
             other = lenses[variant].design_name
             raise ValueError(f"ablations.{name}: another design is also called {other}; rename one")
+        spots = ablation.variants[variant].get("spot_um")
+        if isinstance(spots, dict) and ablation.elements not in spots:
+            raise ValueError(
+                f"ablations.{name}.variants.{variant}.spot_um: expected a value for {ablation.elements}, too"
+            )
+        _check_references(study, f"ablations.{name}.variants.{variant}", lenses[variant].design)
     base = study.lens(f"{ablation.elements}-{ablation.design}").design
     ablations.check_differences(lenses, base, study.capture, f"ablations.{name}.variants")
 
@@ -105,6 +111,11 @@ def _check_networks(study: Study) -> None:
     for where, images in batches.items():
         feasibility.check_step(f"{where}.batch_size", images, study.images.size)
     for name, classifier in study.classifiers.items():
+        if study.images.folder is None and classifier.outputs != "classes":
+            raise ValueError(
+                f"classifiers.{name}.outputs: {classifier.outputs!r} needs photographs, `images.folder`, whose classes "
+                "are named by WordNet ids"
+            )
         if study.fine_tuning.batch_size % classifier.processes:
             raise ValueError(
                 f"classifiers.{name}.processes: {classifier.processes} processes cannot share fine_tuning.batch_size = "
@@ -153,11 +164,15 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
                 f"{where}.descents.{k}.size: expected more than half of spec.kernel_size = {kernel_size} and at most "
                 f"images.size = {study.images.size}, got {descent.size}"
             )
-    if isinstance(design, ImportedLens) and kernel_size // 2 >= study.images.size:
-        raise ValueError(
-            f"imported.{lens.design_name}: half of its kernel_size = {kernel_size} must be less than images.size = "
-            f"{study.images.size}, since borders are reflected"
-        )
+    sizes = {"images.size": study.images.size}
+    if study.tasks.networks:
+        sizes["tasks.scenes.size"] = study.tasks.scenes.size
+    for key, size in sizes.items():
+        if isinstance(design, ImportedLens) and kernel_size // 2 >= size:
+            raise ValueError(
+                f"imported.{lens.design_name}: half of its kernel_size = {kernel_size} must be less than {key} = "
+                f"{size}, since borders are reflected"
+            )
     if not isinstance(design, GradientDesignSettings):
         return
     feasibility.check_step(f"{where}.batch_size", design.batch_size, study.images.size)
@@ -175,7 +190,20 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
             raise ValueError(
                 f"{where}.start: {name!r} cannot be the start of this design; expected one of {', '.join(choices)}"
             )
+        if name in study.imported:
+            _check_imported_start(study, where, lens, name)
     _check_acyclic(study, where, lens.design_name, design)
+
+
+def _check_imported_start(study: Study, where: str, lens: LensEntry, name: str) -> None:
+    """Check that an imported lens, the start of a design, has the specification of the design; raises ValueError."""
+    specs = (study.lens_spec(other) for other in (f"{lens.elements}-{name}", lens.name))
+    start, design = (spec.model_dump(exclude={"kernel_size"}, exclude_computed_fields=True) for spec in specs)
+    if changed := [key for key in design if start[key] != design[key]]:
+        raise ValueError(
+            f"{where}.start: imported.{name}.spec has another {', '.join(changed)} than the design; remove it "
+            "there, or import the lens twice"
+        )
 
 
 def _starts(study: Study, design: DesignSettings) -> tuple[str, ...]:
