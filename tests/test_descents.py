@@ -226,6 +226,19 @@ def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start):
     assert lens.alpha.shape[1] == 5 and [*notes["origin"]["candidate_losses"]] == ["singlet-phone"]
 
 
+@pytest.mark.parametrize("keep", [True, False])
+def test_clear_apertures_of_a_start_are_kept(tmp_path, start, keep):
+    """Kept, also none; otherwise they are those of the lit part of the new lens."""
+    study = changed(with_start(tmp_path / "phone.yaml", ["phone"]), "designs.mine.keep_apertures", keep)
+    apertures = start.semi_diameter.clone()
+    apertures[1], apertures[2] = torch.inf, 0.9
+    given = replace(start, semi_diameter=apertures)
+    prescription.write(tmp_path / "phone.yaml", prescription.Prescription(given), {})
+    settings = lens_design(parse(study), "singlet-mine", 0)
+    lens, *_ = methods.design(settings, None, problem().dataset, {}, {"singlet-phone": given})
+    assert torch.equal(lens.semi_diameter, apertures) == keep and (keep or lens.semi_diameter.isfinite().all())
+
+
 def test_designs_that_begin_with_each_other_are_refused():
     study = changed(tiny_study(), "designs.image_error.start", ["sharp"])
     study = changed(study, "designs.sharp", study["designs"]["image_error"] | {"start": ["image_error"]})

@@ -116,6 +116,17 @@ def test_psfs_of_an_imported_lens_fit_the_images():
             parse(changed(with_imported(), key, value))
 
 
+def test_a_design_by_contrast_waits_for_no_images():
+    """It judges PSFs, so captures and images change nothing; a design by captures has both."""
+    descents = [{"steps": 1, "criterion": "contrast"}]
+    study = changed(tiny_study(), "designs.contrast", {"descents": descents, "augment": False})
+    lens = {"lens": "singlet-contrast", "seed": 0}
+    assert job_of("design", parse(study), **lens).inputs["train"] == []
+    assert job_of("design", parse(study), **lens | {"lens": "singlet-image_error"}).inputs["train"] != []
+    other = changed(study, "capture", {"sensor": {}})
+    assert job_of("design", parse(study), **lens).settings == job_of("design", parse(other), **lens).settings
+
+
 def test_diffraction_changes_no_design():
     """It adds one job per lens; training, restoration and measurement use its PSFs."""
     study = parse(changed(tiny_study(), "capture", {"diffraction": True}))

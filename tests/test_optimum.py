@@ -7,7 +7,7 @@ import torch
 from designs import LIMITS, VIEW, problem
 from examples import by_descents, materials
 
-from tasklens.design.criteria import ImageError, SpotRadius
+from tasklens.design.criteria import Contrast, ImageError, SpotRadius
 from tasklens.design.optimum import local_optimum
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
@@ -16,6 +16,7 @@ from tasklens.optics.apertures import with_clear_apertures
 from tasklens.report.optimality import Optimum
 from tasklens.study.design_settings import DescentSettings
 from tasklens.study.settings import Spec
+from tasklens.study.tolerance_settings import Grade
 
 PART = DescentSettings(steps=1, pixels=(5, 5))
 
@@ -74,6 +75,17 @@ def test_a_descent_that_was_cut_short_has_not_converged():
         finished = with_clear_apertures(*repair(lens, VIEW, LIMITS))
         gains.append(Optimum(**local_optimum(finished, supervisor, part)).gain)
     assert gains[0] > 0.002 and gains[1] < 0.02 * gains[0]  # [mm]
+
+
+def test_a_design_by_contrast_needs_no_images(feasible):
+    """Its test of the optimum, too; built lenses of a toleranced design differ in it."""
+    without = replace(problem(), dataset=None, capture=None)
+    supervisor = Supervisor(Contrast(VIEW.directions), without, None, False, 36)
+    result = local_optimum(feasible, supervisor, PART)
+    with_images = local_optimum(feasible, replace(supervisor, problem=problem()), PART)
+    assert result["gain"] == pytest.approx(with_images["gain"], rel=1e-9) and result["images"] == 0
+    built = replace(supervisor, grade=Grade.model_validate("precision_moulding"))
+    assert local_optimum(feasible, built, PART)["gain"] != result["gain"]
 
 
 def test_steps_are_compared_on_other_images_than_those_of_the_gradient(feasible, monkeypatch):

@@ -137,7 +137,7 @@ def design(
             lenses[entry.design_name], notes, _, trained = methods.design(
                 plan,
                 supervision.network if entry.classified else None,
-                supervision.images if entry.supervised else None,
+                supervision.images if entry.reads_images else None,
                 {"start": (file.lens, 0.0)},
                 {},
                 task=supervision.task if entry.classified else None,

@@ -109,12 +109,12 @@ def design(
     else:
         start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
-    reads_images = any(part.reads_images for part in settings.descents)
-    with nullcontext() if reads_images else single_thread():  # without images all tensors are small
+    with nullcontext() if plan.entry.reads_images else single_thread():  # without images all tensors are small
         lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
+        origin |= details
         repaired = repair(lens, view, plan.constraints, free)
         keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none
-        final_lens, notes = with_notes(*repaired, plan, origin | details, keep_apertures)
+        final_lens, notes = with_notes(*repaired, plan, origin, keep_apertures)
         network = None
         if plan.entry.supervised:
             notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])

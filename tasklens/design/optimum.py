@@ -1,5 +1,6 @@
 """Test whether a finished lens is a local optimum of its criterion within its limits."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -18,13 +19,15 @@ STEPS_UM = (0.5, 2.0, 8.0)
 _DIRECTIONS = 4  # random directions
 _RAYS = 512  # rays per field and colour for the gradient
 _MICRO_STEP = 16  # images per gradient
+_LENSES = 8  # built lenses per gradient without images, if the design has a tolerance grade
+_SEED = 7001  # added to the seed: other built lenses than those of the design and of the report
 
 
 def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings) -> dict[str, Any]:
     """Try feasible steps of small ray displacement from a lens: along its gradient, and in random directions.
 
-    The gradient is that of half of the selection images, projected on the limits in ray space. Every step is repaired,
-    so that it is feasible, and its loss is compared on the other half, image by image.
+    For captures, the gradient is that of half of the selection images. It is projected on the limits in ray space.
+    Every step is repaired, so that it is feasible, and its loss is compared on the other half, image by image.
 
     Args:
         supervisor: supervisor of the last descent; a trained network has its final state.
@@ -55,7 +58,9 @@ def local_optimum(lens: Lens, supervisor: Supervisor, settings: DescentSettings)
 
 
 def _halves(supervisor: Supervisor) -> tuple[slice, slice]:
-    """Return two halves of the selection images, all images if there are few, for gradient and comparison."""
+    """Return two halves of the selection images, all images if there are few; none for a design without images."""
+    if supervisor.problem.dataset is None:
+        return slice(0), slice(0)
     count = len(supervisor.dataset)
     first = max(0, count + SELECTION.start)
     middle = (first + count) // 2
@@ -67,16 +72,19 @@ def _losses(supervisor: Supervisor, lens: Lens, pixels: float) -> Tensor:
 
 
 def _gradient(space: RaySpace, supervisor: Supervisor, pixels: float) -> Tensor:
-    """Compute the gradient (V,) of the mean loss on the fixed images, in batches of a few images."""
+    """Compute the gradient (V,) of the mean loss, in batches of a few images; each has a built lens of its own."""
     supervisor = replace(supervisor, augment=False)
-    indices = supervisor.fixed_images(_halves(supervisor)[0])
+    batches: Sequence[Tensor | None] = [None] * (1 if supervisor.grade is None else _LENSES)
+    if supervisor.problem.dataset is not None:
+        batches = supervisor.fixed_images(_halves(supervisor)[0]).split(_MICRO_STEP)
+    weights = [1 if batch is None else len(batch) for batch in batches]
     total = torch.zeros_like(space.start)
     with supervisor.criterion.evaluating():
-        for k, batch in enumerate(indices.split(_MICRO_STEP)):
+        for k, (batch, weight) in enumerate(zip(batches, weights, strict=True)):
             vector = space.start.clone().requires_grad_()
             lens = space.lens(vector)
-            (built_lens,) = supervisor.as_built(lens, supervisor.problem.seed + k)
+            (built_lens,) = supervisor.as_built(lens, supervisor.problem.seed + _SEED + k)
             loss = supervisor.loss(built_lens, sobol_disc(_RAYS, seed=0), pixels, batch, k, lens)
             (gradient,) = torch.autograd.grad(loss.value, vector)
-            total += gradient * len(batch) / len(indices)
+            total += gradient * weight / sum(weights)
     return total

@@ -120,7 +120,7 @@ def designs(
             lenses[name], notes, _, trained = methods.design(
                 lens_design(study, name, seed),
                 supervision.network if entry.classified else None,
-                supervision.images if entry.supervised else None,
+                supervision.images if entry.reads_images else None,
                 {other: (lenses[other], 0.0) for other in starts(study, name)},
                 {other: lenses[other] for other in candidates(study, name)},
                 task=supervision.task if entry.classified else None,

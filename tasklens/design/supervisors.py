@@ -106,7 +106,7 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
 
     entries = study.lenses.values()
     classified = any(entry.classified for entry in entries)
-    if not any(entry.supervised for entry in entries):
+    if not any(entry.reads_images for entry in entries):
         return Supervisors()
     device, network = claim(), user.network
     if not isinstance(network, nn.Module | None):

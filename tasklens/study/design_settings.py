@@ -186,7 +186,8 @@ class GradientDesignSettings(Frozen):
     )
     keep_apertures: bool = Field(
         False,
-        description="Keep the clear apertures of the start, and none elsewhere; false: they follow from the design.",
+        description="Keep the clear apertures of the start, and none elsewhere; an imported lens has one on every "
+        "surface. False: they follow from the design.",
     )
     grade: Grade | None = Field(
         None,

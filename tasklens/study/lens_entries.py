@@ -107,6 +107,11 @@ class LensEntry(Frozen):
         return any(descent.criterion != "spot" for descent in self.descents)
 
     @property
+    def reads_images(self) -> bool:
+        """True if a descent minimises a loss of captures, which needs images."""
+        return any(descent.reads_images for descent in self.descents)
+
+    @property
     def constrained(self) -> bool:
         """True if the lens has to keep the constraints and the focal length, which verification checks.
 
@@ -125,7 +130,8 @@ class LensDesign(Frozen):
     Attributes:
         entry: the lens, its plastics and its method.
         spec, constraints: specification and limits.
-        capture, classifier: for designs supervised by a classifier.
+        capture: for designs by captures.
+        classifier: for designs supervised by a classifier.
         task, network: name and settings of another task, for designs supervised by its network.
         starts: lenses of which the most accurate is the start.
         candidates: lenses of which the best by the criterion is the start.

@@ -87,8 +87,7 @@ def study(
         raise InputError(f"network_learning_rate: only with the methods {' and '.join(TRAINING)}, not {method}")
     if given and not classified:
         raise InputError(f"method {method}: has no network; choose task, joint or end_to_end, or give no network")
-    reads_images = any(part.reads_images for lens in result.lenses.values() for part in lens.descents)
-    if images is not None and not reads_images:
+    if images is not None and not any(lens.reads_images for lens in result.lenses.values()):
         raise InputError(f"method {method}: has no images; choose another method, or give no images")
     return result
 

@@ -127,7 +127,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
         spec=study.lens_spec(lens),
         constraints=study.constraints,
-        capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.supervised else None,
+        capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.reads_images else None,
         classifier=study.network(study.supervisor) if entry.classified and not entry.other_task else None,
         task=entry.other_task,
         network=None if entry.other_task is None else study.task_network(entry.other_task),

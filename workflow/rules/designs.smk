@@ -20,7 +20,7 @@ rule design:
         "results/{study}/benchmarks/design/{lens}-seed{seed}.tsv"
     priority: early(0.5)  # most jobs wait for designs, which include the longest jobs
     resources:
-        **needs("design") | {"gpu": lambda w: int(GPUS and study_of(w).lens(w.lens).supervised)},
+        **needs("design") | {"gpu": lambda w: int(GPUS and study_of(w).lens(w.lens).reads_images)},
     params:
         **call("tasklens.jobs.design.run"),
         settings=settings(paper_tables.lens_design),

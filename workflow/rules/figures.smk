@@ -132,7 +132,7 @@ rule captures:
         "results/{study}/benchmarks/captures.tsv"
     priority: early()
     resources:
-        **needs("captures"),
+        **needs("captures", gpu=1),
     params:
         **call("tasklens.jobs.captures.run"),
         settings=settings(report_jobs.CapturesJob.of),

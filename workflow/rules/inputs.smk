@@ -4,7 +4,7 @@
 def design_images(wildcards):
     """Return the training images of a design, if it has any."""
     entry = study_of(wildcards).lens(wildcards.lens)
-    split = TRAINING_SCENES if entry.other_task else TRAIN if entry.supervised else []
+    split = TRAINING_SCENES if entry.other_task else TRAIN if entry.reads_images else []
     return [path_of(pattern, study_of(wildcards)) for pattern in split]
 
 
