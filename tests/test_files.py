@@ -19,6 +19,16 @@ def test_a_file_is_written_whole(tmp_path):
     assert list(path.parent.iterdir()) == [path]
 
 
+def test_tables_are_utf_8_in_every_locale(tmp_path):
+    code = (
+        "import sys, pathlib; from tasklens.runtime import files\n"
+        "files.write_rows(pathlib.Path(sys.argv[1]), [{'class': 'K\\xe4fer'}, {'class': '\\u732b'}])"
+    )
+    ascii_locale = os.environ | {"LC_ALL": "POSIX", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    subprocess.run([sys.executable, "-c", code, str(tmp_path / "rows.csv")], check=True, env=ascii_locale)
+    assert (tmp_path / "rows.csv").read_text(encoding="utf-8") == "class\nKäfer\n猫\n"
+
+
 @pytest.mark.parametrize("before", [None, "old"])
 def test_a_failing_writer_leaves_things_as_they_were(tmp_path, before):
     """No half-written file, no temporary; an older file stays."""

@@ -236,11 +236,13 @@ def test_other_images_do_not_reproduce(study):
 
 
 def test_the_job_says_what_it_found_and_fails_by_its_status(study, capsys):
-    """All on standard output, below the verdicts; the status is 0 if nothing fails."""
+    """All on standard output, below the verdicts, and the number of failures in the log; if none, the status is 0."""
     write(outputs("verdicts_table", study).md, "the verdicts\n")
     finish("verify", study)
     assert capsys.readouterr().out == "the verdicts\n\nChecked 2 lenses and 8 measurements: 0 failures.\n"
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(study.spec.efl_mm, max_slope=-0.1)))
     with pytest.raises(SystemExit, match="1"):
         finish("verify", study)
-    assert "failed: singlet-imaging1 seed 0: max_slope: margin -0.1" in capsys.readouterr().out
+    printed = capsys.readouterr()
+    assert "failed: singlet-imaging1 seed 0: max_slope: margin -0.1" in printed.out
+    assert printed.err.endswith("failures, printed above: 1\n")

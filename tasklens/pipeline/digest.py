@@ -44,7 +44,7 @@ def parse(module: str) -> ast.Module:
     path = module_path(module)
     if path is None:
         raise ValueError(f"unknown module {module!r}")
-    tree = ast.parse(path.read_text())
+    tree = ast.parse(path.read_text(encoding="utf-8"))
     for node in ast.walk(tree):
         body = getattr(node, "body", None)
         if isinstance(body, list) and body and isinstance(body[0], ast.Expr):
@@ -64,7 +64,9 @@ def code_and_imports(module: str) -> tuple[str, set[str]]:
     assert path is not None
     texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     named = sorted(text for text in texts if text.endswith(_TEMPLATES) and (path.parent / text).is_file())
-    return "\n".join([repr(_shape(tree)), *((path.parent / name).read_text() for name in named)]), imports(tree)
+    return "\n".join(
+        [repr(_shape(tree)), *((path.parent / name).read_text(encoding="utf-8") for name in named)]
+    ), imports(tree)
 
 
 def _shape(node: object) -> object:

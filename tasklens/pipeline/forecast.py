@@ -53,7 +53,7 @@ def by_rule(folder: Path) -> dict[str, Measured]:
 
 def elsewhere(study: str) -> dict[str, Measured]:
     """Read the measurements of a study in `config/`, by rule; empty for other studies. Gaps in the file become 0."""
-    with open(MEASURED, newline="") as file:
+    with open(MEASURED, newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if row["study"] == study]
     return {row["rule"]: Measured(*(number(row[n]) for n in ("seconds", "longest_s", "memory_mb"))) for row in rows}
 

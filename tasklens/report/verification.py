@@ -4,6 +4,7 @@ All test images are classified again with the stored weights and the cached PSFs
 measurement). The new predictions are compared with the predictions and metrics of fine-tuning, and with the tables.
 """
 
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -159,9 +160,10 @@ def run(
     measurements = Measurements(dict(zip(settings.lens_keys, lenses, strict=True)), metric_files, prediction_files)
     table_names = (contents.name for contents in settings.tables)
     findings = verify(settings, measurements, reproduced_files, dict(zip(table_names, tables, strict=True)))
-    print(verdicts.read_text())
+    print(verdicts.read_text(encoding="utf-8"))
     print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet
     if findings.failures:
+        print(f"failures, printed above: {len(findings.failures)}", file=sys.stderr)  # for the summary of the run
         raise SystemExit(1)
 
 

@@ -17,7 +17,7 @@ def read(path: Path) -> Benchmark | None:
     """Read the benchmark of a job; None if there is none, or if the job was killed while it ran."""
     if not path.exists():
         return None
-    with open(path, newline="") as file:
+    with open(path, newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file, delimiter="\t"))
     return Benchmark(float(rows[-1]["s"]), number(rows[-1].get("max_rss") or "")) if rows else None
 

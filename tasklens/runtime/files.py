@@ -267,7 +267,7 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     import csv
 
     columns = list(dict.fromkeys(key for row in rows for key in row))
-    with replacing(path) as temporary, open(temporary, "w", newline="") as file:
+    with replacing(path) as temporary, open(temporary, "w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
@@ -276,5 +276,5 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
 def write_if_changed(path: str | Path, text: str) -> None:
     """Write a text file unless it already has this text."""
     path = Path(path)
-    if not path.exists() or path.read_text() != text:
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
         write_text(path, text)

@@ -259,7 +259,7 @@ def _histories(settings: ReportJob, files: PageFiles) -> list[charts.Chart]:
 
 def _read(path: Path) -> pandas.DataFrame:
     """Read a history; it is empty for an imported lens."""
-    return read_table(path) if path.read_text().strip() else pandas.DataFrame()
+    return read_table(path) if path.read_text(encoding="utf-8").strip() else pandas.DataFrame()
 
 
 def _last_part(history: pandas.DataFrame) -> pandas.DataFrame:
