@@ -40,7 +40,7 @@ def run(
 ) -> None:
     """Draw a chart and test images side by side as frames, and single captures on which two networks disagree.
 
-    The frames have no noise and no quantisation; the single captures use the sensor settings of the study.
+    The frames have no noise, quantisation or diffraction; the single captures have the settings of the study.
 
     Args:
         lenses, psfs, correct: files of the lenses in `settings.captures`, and predictions of the supervising
