@@ -2,11 +2,14 @@
 
 import json
 import math
+from dataclasses import replace
 
 import pytest
 from examples import cooke_triplet, f64
 
 from tasklens.cli.app import main
+from tasklens.optics.analysis.pupil import rim
+from tasklens.optics.analysis.spots import lit_semi_diameters, trace_fields
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.tolerancing import yields
@@ -46,6 +49,19 @@ def test_fine_tolerances_are_loosened_and_coarse_ones_tightened(fine_tolerances)
     assert spread(coarse) > 10 * spread(fine_tolerances)
     assert fine_tolerances.allotted is not None and float(fine_tolerances.allotted.mean()) > 1
     assert coarse.allotted is not None and float(coarse.allotted.mean()) < float(fine_tolerances.allotted.mean())
+
+
+def test_an_aperture_that_stops_all_rim_rays_darkens_no_field():
+    """Clear apertures are then those of the rays inside the pupil."""
+    lens = cooke_triplet()
+    clear = lens.semi_diameter.clone()
+    clear[0] = 4.0
+    vignetting = replace(lens, semi_diameter=clear)
+    view = replace(VIEW, fields=f64([[0.0, 0.0], [0.0, 0.4]]))
+    assert not trace_fields(vignetting, view, rim(64)).valid.any()
+    radii = lit_semi_diameters(vignetting, view)
+    assert 3.9 < float(radii[0]) <= 4.0
+    assert yields.tolerances(vignetting, view, FINE, 10, 0).design.rms_spot_um > 0
 
 
 def test_yields_by_hand():

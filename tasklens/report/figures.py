@@ -20,7 +20,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, ray_fans, spot_diagram, trace_fields
+from tasklens.optics.analysis.spots import chief_points, lit_semi_diameters, ray_fans, spot_diagram, trace_fields
 from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
@@ -168,7 +168,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 def section_svg(lens: Lens, view: View) -> str:
     """Return the cross-section of a lens with rays as SVG; surfaces end just beyond the illuminated radius."""
     figure, text = Figure(figsize=(7, 4), layout="constrained"), io.StringIO()
-    used = torch.minimum(lens.semi_diameter, _RIM * clear_semi_diameters(lens, view))
+    used = torch.minimum(lens.semi_diameter, _RIM * lit_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
     cross_section(figure.subplots(), lens, view, shown_fields(view))
     with matplotlib.rc_context(vector_files.STYLE):

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from numbers import Integral
 
 import torch
 from torch import Tensor
@@ -21,10 +22,10 @@ def sobol_disc(count: int, seed: int) -> Tensor:
     """Return (count, 2) points of a scrambled Sobol sequence, uniform over the unit disc.
 
     Raises:
-        InputError: fewer than one point.
+        InputError: `count` is not a whole number from 1.
     """
-    if count < 1:
-        raise InputError(f"rays: expected at least one, got {count}")
+    if not (isinstance(count, Integral) and count >= 1):
+        raise InputError(f"rays: expected a whole number from 1, got {count!r}")
     engine = torch.quasirandom.SobolEngine(2, scramble=True, seed=seed)
     u, v = engine.draw(count, dtype=torch.float64).unbind(-1)
     radius, angle = torch.sqrt(u), 2 * math.pi * v

@@ -21,6 +21,7 @@ from tasklens.optics.view import View
 _LIGHT = 64  # rays per field for the test whether any light arrives
 _RIM = 64  # number of rim rays for semi-diameters
 _NEAR_AXIS = 1e-4  # field angle [rad] of chief rays near the axis
+_LIT = 4096  # rays for the illuminated radii of a lens that vignettes
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
 OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and chief rays
 
@@ -162,6 +163,11 @@ def clear_semi_diameters(lens: Lens, view: View, pupil: Tensor = OUTLINE) -> Ten
         torch.where(r.lost_at < 0, torch.hypot(r.x, r.y), 0.0).max() for r in trace_fields_full(lens, view, pupil)[1]
     ]
     return torch.stack(heights)
+
+
+def lit_semi_diameters(lens: Lens, view: View) -> Tensor:
+    """Compute the illuminated radii (S,) of a lens [mm], also if all rays through the rim of its stop are lost."""
+    return clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(_LIT, seed=0)]))
 
 
 def evaluation_psf(lens: Lens, view: View, rays: int, diffraction: bool = False) -> Tensor:

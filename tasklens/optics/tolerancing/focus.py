@@ -20,6 +20,8 @@ _FREQUENCY = 0.25  # frequency at which lens modules are focused, as a fraction 
 _STEP = 0.08  # distance of planes [F-number / frequency]: from one to the next, blurs grow by 0.08 periods
 _STEPS = 50  # least number of planes on each side
 _RANGE = 0.02  # least shift on each side, as a fraction of the focal length: errors of index and radius scale with it
+_INNER = 0.75  # while the peak is farther out than this fraction of the range, the range is doubled
+_DOUBLINGS = 4
 _FITTED = 2  # planes on each side of the best one that a parabola is fitted to
 _RAYS = 256  # per field and colour
 
@@ -34,13 +36,17 @@ def peak(lens: Lens, view: View) -> Tensor:
     f_stop = 2 ** (round(2 * math.log2(f_number)) / 2)  # to full stops, so that planes do not move with the lens
     step = _STEP * f_stop / frequency(view)
     steps = max(_STEPS, math.ceil(_RANGE * view.efl / step))
-    values = through_focus(lens, view.in_all_quadrants(), -steps * step, step, 2 * steps + 1)
-    best = int(values[_FITTED:-_FITTED].argmax()) + _FITTED
+    for _ in range(_DOUBLINGS + 1):
+        values = through_focus(lens, view.in_all_quadrants(), -steps * step, step, 2 * steps + 1)
+        best, middle = int(values[_FITTED:-_FITTED].argmax()) + _FITTED, steps
+        if abs(best - middle) <= _INNER * steps:
+            break
+        steps *= 2
     x = torch.arange(-_FITTED, _FITTED + 1, dtype=torch.float64)
     near = values[best - _FITTED : best + _FITTED + 1]
     _, slope, bend = torch.linalg.pinv(x[:, None] ** torch.arange(3)) @ near
     offset = -0.5 * slope / bend if bend < 0 else torch.zeros_like(bend)
-    return (best - steps + offset.clamp(-1, 1)) * step
+    return (best - middle + offset.clamp(-1, 1)) * step
 
 
 def through_focus(lens: Lens, view: View, first: float, step: float, count: int) -> Tensor:

@@ -8,7 +8,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import centroid, clear_semi_diameters, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation, focus
@@ -68,7 +68,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
     Raises:
         InputError: no light arrives at some field of the design.
     """
-    lens = with_clear_apertures(lens.detached(), _RIM * clear_semi_diameters(lens, view))
+    lens = with_clear_apertures(lens.detached(), _RIM * lit_semi_diameters(lens, view))
     error_list = errors(lens, grade)
     moved_um = displacements(lens, view, error_list, _RAYS)
     if not moved_um.isfinite().all():
