@@ -16,6 +16,10 @@ from safetensors.torch import load_file
 
 import tasklens
 from tasklens.cli.app import main
+from tasklens.optics.analysis.object_points import image_scale
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.io import imported
+from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import ranking as pipeline
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
@@ -23,7 +27,8 @@ from tasklens.report import ranking
 from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_tensors
-from tasklens.study.settings import TrainingSettings
+from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.settings import Spec, TrainingSettings
 
 TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
 
@@ -105,6 +110,32 @@ def test_differences_are_of_the_same_photographs():
 
 def rank(lens: str, group: int, accuracy: float, low: float, high: float) -> Rank:
     return Rank(lens, group, accuracy, 0, 0, 0, low, high, ())
+
+
+def test_the_columns_of_axis_and_corner_are_those_of_the_angles():
+    """Fields may be in any order."""
+    first = Rank("a", 1, 60, 0, 0, 0, 50, 70, (40.0, 80.0, 60.0))
+    figures = {"angle_deg": [30.0, 0.0, 20.0], "f_number": 2.0, "rms_centroid_um": [3.0, 1.0, 2.0]}
+    row = ranking.row(first, "A", figures, 60.0)
+    assert (row["accuracy_axis"], row["accuracy_corner"]) == (80.0, 40.0)
+
+
+@pytest.mark.parametrize("scaled", [True, False])
+def test_the_image_of_a_near_object_ends_at_the_corner_of_the_sensor(tmp_path, scaled):
+    """It is larger than that of an object at infinity: the outermost chief ray lands where the sensor ends."""
+    lens, view = singlet(field_of_view_deg=40)
+    tasklens.save_lens(tmp_path / "lens.yaml", lens, view)
+    half = 0.8 * float(view.radii.max())
+    sensor = {"diagonal_mm": 2 * half, "object_distance_mm": 25.0}
+    screened = pipeline.screen([tmp_path / "lens.yaml"], sensor, [], scaled)
+    (entry,) = screened.entries.values()
+    spec = Spec.model_validate(sensor | entry["spec"])
+    near = view_of_spec(spec)
+    fitted, _ = imported.fit(ImportedLens.model_validate(entry), near, spec.f_number, 64)
+    assert float(near.radii.max() * image_scale(fitted, near)) == pytest.approx(half, rel=1e-6)
+    assert float(near.radii.max()) < 0.97 * half
+    efl = float(paraxial(fitted, near.reference_um).efl)
+    assert (efl == pytest.approx(view.efl, rel=1e-6)) != scaled
 
 
 def test_the_answer_in_words():

@@ -14,9 +14,11 @@ import yaml
 from pydantic import ValidationError
 
 from tasklens.optics.analysis.mtf import mean_mtf
+from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.io import imported, lens_files
+from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline.digest import NOT_INSTALLED, SNAKEFILE
 from tasklens.recognition import class_folders
@@ -31,6 +33,7 @@ ELEMENTS = "lens"  # name of the elements of all lenses in the study
 _SUFFIXES = (".zmx", ".yaml", ".yml")
 _SHIPPED = "config/lenses/phone_3p.yaml"
 _RAYS = 4096  # per field and colour
+_ROUNDS = 20  # of the fixed point for the scale of a lens with a near object; each gains a digit or more
 _COVERAGE = 0.99  # least part of the sensor's half diagonal that the field in a lens file covers
 _LONGEST = 30  # characters of a name
 _SHOWN = 200  # sharp photographs for the check of a network
@@ -127,8 +130,12 @@ def _screened(
             ", ".join(f"{value:g}" for value in v) for v in (file.view.wavelengths_um, sensor.wavelengths_um)
         )
         remarks.append(f"is designed for {own} um, and ranked at {others} um (--wavelengths)")
-    if not scaled:
-        radius = efl * tangent
+    growth = _image_scale(file.lens, sensor)
+    if scaled:
+        for _ in range(_ROUNDS):
+            growth = _image_scale(file.lens.scaled(half / (growth * tangent * efl)), sensor)
+    else:
+        radius = growth * efl * tangent
         if radius < _COVERAGE * half:
             raise InputError(
                 f"covers {2 * radius:.2f} mm of the sensor's diagonal of {sensor.diagonal_mm:g} mm (--scale makes it "
@@ -136,8 +143,9 @@ def _screened(
             )
         if radius * _COVERAGE > half:
             remarks.append(f"has a field of {2 * radius:.2f} mm, used up to the sensor's diagonal of {2 * half:g} mm")
-        tangent = half / efl
+        tangent = half / (growth * efl)
     lens_spec = {
+        "diagonal_mm": 2 * half / growth,  # of the image of an object at infinity, as in all specifications
         "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
         "f_number": float(first_order.f_number),
     }
@@ -153,6 +161,11 @@ def _screened(
     if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
     return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), remarks
+
+
+def _image_scale(lens: Lens, sensor: Spec) -> float:
+    """Return the ratio of the image height to that for an object at infinity; raises InputError."""
+    return float(image_scale(lens, view_of_spec(sensor)))
 
 
 def _differ(wavelengths: Sequence[float], others: Sequence[float]) -> bool:

@@ -1,5 +1,6 @@
 """Lenses at a glance: a few figures for comparing lenses."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -45,7 +46,7 @@ _NOTE = """\
 Lengths in mm, field of view in degrees, spots in um, distortion in %. Worst RMS, distortion and illumination: of the
 worst field. Means over the fields: RMS, radii of 50 % (core) and 80 % of the light about the chief ray, geometric MTF
 at half Nyquist, light in the PSF window. Margin: to the nearest limit of the design, in the limit's unit (mm, slope,
-fraction, rad); a violation is negative."""
+fraction, degrees); a violation is negative."""
 
 
 def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
@@ -127,10 +128,15 @@ def row(name: str, content: Mapping, figures: Mapping) -> dict[str, Any]:
         "radius_80_um": mean("radius_80_um"),
         "mtf_half_nyquist": mean("mtf_tangential_half_nyquist", "mtf_sagittal_half_nyquist"),
         "energy_in_window": mean("energy_in_window"),
-        "distortion_worst_percent": max(figures["distortion_percent"], key=abs),
+        "distortion_worst_percent": max(figures["distortion_percent"], key=_extent),
         "relative_illumination_worst": min(figures["relative_illumination"]),
         "worst_margin": content.get("worst_margin"),
     }
+
+
+def _extent(value: float) -> float:
+    """Return the magnitude of a number; one that is missing, NaN, exceeds all others."""
+    return math.inf if math.isnan(value) else abs(value)
 
 
 def table(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -224,6 +224,7 @@ def make(
 
 def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: float) -> dict[str, Any]:
     """Return the row of a lens in the table."""
+    fields = sorted(range(len(rank.by_field)), key=lambda field: figures["angle_deg"][field])
     return {
         "lens": title,
         "group": rank.group,
@@ -233,8 +234,8 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
         "behind": rank.behind,
         "behind_low": rank.behind_low,
         "behind_high": rank.behind_high,
-        "accuracy_axis": rank.by_field[0],
-        "accuracy_corner": rank.by_field[-1],
+        "accuracy_axis": rank.by_field[fields[0]],
+        "accuracy_corner": rank.by_field[fields[-1]],
         "f_number": figures["f_number"],
         "field_of_view_deg": field_of_view_deg,
         "rms_spot_um": float(numpy.mean(figures["rms_centroid_um"])),

@@ -100,7 +100,8 @@ def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | Non
 
 def _words(figures: Mapping[str, Any]) -> dict[str, str]:
     """Describe the drawings in words: RMS spots, and MTF at a quarter of the Nyquist frequency."""
-    field_names = {0: "axis", len(figures["angle_deg"]) // 2: "middle", len(figures["angle_deg"]) - 1: "corner"}
+    order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
+    field_names = {order[0]: "axis", order[len(order) // 2]: "middle", order[-1]: "corner"}
     spots = (f"{name} RMS {figures['rms_centroid_um'][field]:.1f} um" for field, name in field_names.items())
     tangential, sagittal = (figures[f"mtf_{kind}_quarter_nyquist"] for kind in ("tangential", "sagittal"))
     mtf = (f"{name} T {tangential[field]:.2f}, S {sagittal[field]:.2f}" for field, name in field_names.items())
