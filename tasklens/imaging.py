@@ -85,7 +85,11 @@ class PsfCamera:
 
         Args:
             generator: draws the noise, image by image; None: torch's default generator.
+
+        Raises:
+            InputError: images of another shape or type.
         """
+        check_images(images)
         captures = []
         for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
             pairs = torch.cat([block, block[: len(block) % 2]]).unflatten(0, (-1, 2))
@@ -110,10 +114,12 @@ class PsfCamera:
             sample: (B, 3, H, W) standard normal numbers, the noise of the sensor; None: from torch's default generator.
 
         Raises:
-            InputError: a field that these PSFs do not have, or a sample without a sensor or of another shape.
+            InputError: images of another shape or type, a field that these PSFs do not have, or a sample without a
+                sensor or of another shape.
         """
         order: list[int] = []  # image indices sorted by field, an even number per field
         runs = []
+        check_images(images)
         fields = field_indices(fields, len(images), len(self.psf))
         numbers = fields.tolist()
         if self.sensor is None and sample is not None:
@@ -155,6 +161,12 @@ class PsfCamera:
         if self.linear:
             images = rgb_to_linear_rgb(images)
         return convolve(images, self.psf, runs, self._spectra)
+
+
+def check_images(images: Tensor) -> None:
+    """Raise InputError for other images than (B, 3, H, W) of floating-point numbers."""
+    if images.dim() != 4 or images.shape[1] != 3 or not images.is_floating_point() or not len(images):
+        raise InputError(f"images: expected (B, 3, H, W) in [0, 1], got {tuple(images.shape)} of {images.dtype}")
 
 
 def field_indices(fields: Sequence[int] | Tensor | None, images: int, count: int) -> Tensor:

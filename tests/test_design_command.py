@@ -13,6 +13,7 @@ from safetensors.torch import load_file, save_file
 
 from tasklens.cli.app import main
 from tasklens.design.single import unused_images
+from tasklens.materials.catalogues import builtin
 from tasklens.optics.io import lens_files
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
@@ -73,6 +74,15 @@ def test_a_lens_by_least_squares(folder, capsys):
     assert torch.equal(native.lens.curvature, exported.lens.curvature)
     assert torch.equal(native.lens.thickness, exported.lens.thickness)
     assert exported.view.radii.max() / exported.view.efl == pytest.approx(numpy.tan(numpy.radians(20)), rel=1e-6)
+
+
+def test_a_lens_of_a_plastic_in_the_folder_of_catalogues(folder, monkeypatch):
+    """Without naming its file."""
+    (folder / "mine").mkdir()
+    (folder / "mine/maker.yaml").write_text(yaml.safe_dump({"MINE": builtin("PMMA").definition()}))
+    monkeypatch.setenv("TASKLENS_CATALOGUES", "mine")
+    assert design(*QUICK, "--elements", "MINE", "-o", "lens.yaml") == 0
+    assert [medium.name for medium in lens_files.read(folder / "lens.yaml").lens.media][1] == "MINE"
 
 
 @pytest.mark.slow

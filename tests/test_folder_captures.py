@@ -58,12 +58,17 @@ def test_each_photograph_is_captured_at_its_field(photos, capsys):
     assert not torch.equal(opened(Path("noisy/cat/a.png")), opened(Path("out/cat/a.png")))
 
 
-def test_captures_keep_their_fields_if_a_later_photograph_cannot_be_read(photos, monkeypatch):
-    """The table of fields comes before the first capture."""
+def test_photographs_that_cannot_be_read_are_named_before_the_first_capture(photos, monkeypatch, capsys):
+    """All of them, so that the same command does it all after they are repaired."""
     monkeypatch.setattr(folder_captures, "_BLOCK", 1)
-    (photos / "dog" / "c.PNG").write_text("no image")
-    assert run("photos", "-o", "out", *OPTIONS) == 2
-    assert len(rows_of("out")) == 4 and Path("out/cat/a.png").is_file()
+    for broken in ("cat/a.png", "dog/c.PNG"):
+        (photos / broken).rename(photos / f"{broken}.kept")
+        (photos / broken).write_text("no image")
+    assert run("photos", "-o", "out", *OPTIONS) == 2 and not Path("out").exists()
+    assert "2 of 4 images cannot be read" in capsys.readouterr().err
+    for broken in ("cat/a.png", "dog/c.PNG"):
+        (photos / f"{broken}.kept").replace(photos / broken)
+    assert run("photos", "-o", "out", *OPTIONS) == 0 and len(rows_of("out")) == 4
 
 
 def test_all_photographs_at_one_field(photos):

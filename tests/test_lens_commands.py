@@ -310,6 +310,7 @@ MISTAKES = [
         ("simulate", DOUBLET, "small.png", *SIMULATE),
         "an image of 30 x 20 pixels is too small for PSFs of 51 pixels: take a larger one, or a smaller kernel_size",
     ),
+    (("show", SAME, "--wavelengths", ""), "wavelengths_um: expected a number, found ''"),
     (("simulate", DOUBLET, "absent.png", *SIMULATE), "absent.png: no such image"),
     (("simulate", DOUBLET, "words.png", *SIMULATE), "words.png: cannot be read as an image"),
     (
@@ -340,6 +341,12 @@ def test_a_wrong_option_or_command(capsys):
     assert run("shaw", DOUBLET) == 2 and "'show'" in capsys.readouterr().err
     assert run("show", DOUBLET, "--f-nunber", "3") == 2 and "--f-number" in capsys.readouterr().err
     assert run("draw", DOUBLET) == 2 and "--output" in capsys.readouterr().err
+    for wrong in (
+        ("simulate", "--full-well", "1e10"),
+        ("simulate", "--full-well", "nan"),
+        ("tolerance", "--seed", 2**64),
+    ):
+        assert run(wrong[0], DOUBLET, *wrong[1:]) == 2 and f"'{wrong[1]}'" in capsys.readouterr().err
 
 
 def test_an_export_for_zemax_spares_a_catalogue_of_the_same_name(folder, capsys):

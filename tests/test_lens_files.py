@@ -179,7 +179,7 @@ def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     lens_files.write(tmp_path / name, lens_data, tasklens.notebook.described(near, view, rays=64))
     assert torch.equal(lens_files.read(tmp_path / name).lens.thickness, near.thickness)
     with pytest.warns(UserWarning, match="object at 300 mm in the file: refocused for infinity"):
-        far, _ = tasklens.load_lens(tmp_path / name, object_distance_mm=math.inf)
+        far, _ = tasklens.load_lens(tmp_path / name, object_distance_mm=numpy.float32(math.inf))
     infinity = refocused(cooke_triplet(), replace(view, object_vergence=0.0), 256)
     assert float(far.thickness[-1]) == pytest.approx(float(infinity.thickness[-1]), abs=0.01)
     assert float(near.thickness[-1] - far.thickness[-1]) == pytest.approx(10, abs=1)

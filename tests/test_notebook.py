@@ -274,6 +274,14 @@ def test_a_specification_that_cannot_be(change, words):
 
 
 LENS = PUBLISHED / "doublet-tasklens.yaml"
+
+
+def single(lens):
+    """The lens in single precision."""
+    tensors = {name: value for name, value in vars(lens).items() if isinstance(value, torch.Tensor)}
+    return replace(lens, **{name: value.float() for name, value in tensors.items()})
+
+
 IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
 
 
@@ -286,7 +294,7 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             lambda lens, view: tasklens.simulate_whole_sensor(lens, view, IMAGE, 0),
             "image_pixel_pitch_um: expected a positive",
         ),
-        (lambda lens, view: tasklens.psf(lens, view, rays=0), "rays: expected at least one"),
+        (lambda lens, view: tasklens.psf(lens, view, rays=0), "rays: expected a whole number from 1, got 0"),
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, wavelengths_um=0.55), "wavelengths_um: expected a list"),
         (lambda lens, view: tasklens.load_lens(LENS, wavelengths_um=0.55), "wavelengths_um: expected a list"),
         (
@@ -335,9 +343,24 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
             lambda lens, view: tasklens.design_lens("spot", start=(lens, view), diagonal_mm=4.0),
             "diagonal_mm: not with `start`",
         ),
-        (lambda lens, view: tasklens.trace(lens, view, 0), "rays: expected at least one"),
+        (lambda lens, view: tasklens.trace(lens, view, 0), "rays: expected a whole number from 1, got 0"),
+        (lambda lens, view: tasklens.trace(lens, view, 1.5), "rays: expected a whole number from 1, got 1.5"),
+        (lambda lens, view: tasklens.trace(lens, view, pupil=[[0, 0, 1]]), r"pupil: expected points \(N, 2\), got"),
+        (lambda lens, view: tasklens.Camera(lens, view, rays=0), "rays: expected a whole number from 1"),
+        (lambda lens, view: tasklens.Camera(single(lens), view), "lens: expected double precision"),
+        (lambda lens, view: PsfCamera(tasklens.psf(lens, view))(IMAGE[None].byte()), r"got \(1, 3, .* torch.uint8"),
+        (lambda lens, view: PsfCamera(tasklens.psf(lens, view)).all_fields(IMAGE), r"expected \(B, 3, H, W\)"),
+        (lambda lens, view: tasklens.load_lens("a.zmx", wavelengths_um=[]), "wavelengths_um: expected at least one"),
+        (
+            lambda lens, view: tasklens.simulate_whole_sensor(lens, replace(view, fields=view.fields[:1]), IMAGE),
+            "the lens has no field except the axis",
+        ),
+        (lambda lens, view: tasklens.simulate_whole_sensor(lens, view, IMAGE[:, :9]), "too small for PSFs of 75"),
         (lambda lens, view: tasklens.trace(lens, view, 7, torch.zeros(1, 2)), "rays: not with `pupil`"),
-        (lambda lens, view: replace(view, kernel_size=50), "kernel_size: expected an odd number of pixels, got 50"),
+        (
+            lambda lens, view: replace(view, kernel_size=50),
+            "kernel_size: expected an odd number of pixels below 10000, got 50",
+        ),
     ],
 )
 def test_arguments_that_cannot_be_used(doublet, call, words):

@@ -1,5 +1,6 @@
 """Captures of a whole sensor: compared with light traced from every pixel; flux, stars, seams, gradients."""
 
+import math
 from dataclasses import replace
 
 import numpy
@@ -227,6 +228,18 @@ def test_distortion_puts_a_star_on_its_chief_ray_and_illumination_darkens_the_co
         dark = tasklens.simulate_whole_sensor(lens, view, grey, pitch, colour=colour, illumination=True, rays=RAYS)
         dark = rgb_to_linear_rgb(dark)  # illumination is a ratio of light
         assert float(dark[1, 2, 2] / dark[1, 48, 64]) == pytest.approx(float(expected_light[1]), rel=within)
+
+
+def test_a_lens_with_strong_barrel_distortion_is_simulated():
+    """The corner images a field more than 1.25 times as far out as in a pinhole camera."""
+    stop = {"radius": math.inf, "thickness": 0.8, "stop": True}
+    surfaces = [stop, {"radius": 3, "thickness": 0.8, "material": "COC"}, {"radius": -3}]
+    lens, view = tasklens.lens(surfaces, field_of_view_deg=60, f_number=20, pixel_pitch_um=60.0, kernel_size=15)
+    corner = float(view.radii.max())
+    assert float(chief_points(lens, view.along_y(f64([1.25 * corner])))[0].norm()) < 0.96 * corner
+    image = noise((48, 64), seed=3)
+    capture = tasklens.simulate_whole_sensor(lens, view, image, rays=64, distortion=True)
+    assert capture.shape == image.shape and capture.isfinite().all()
 
 
 def test_linear_light_differs_from_srgb_values_but_not_of_an_even_image():

@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 import typer
 
 from tasklens.cli.lens import Colour, File, FullWell, Rays
+from tasklens.cli.lens_options import Seed
 from tasklens.cli.outputs import say
 from tasklens.cli.progress_bars import progress_bars
 
@@ -18,7 +19,7 @@ def captures(
     output: Annotated[Path, typer.Option("--output", "-o", help="New folder of the captures.", show_default=False)],
     size: Annotated[int, typer.Option(min=8, help="Side of the captures (pixels).")] = 224,
     field: Annotated[Literal["random", "axis", "middle", "corner"], typer.Option(help="Field of each.")] = "random",
-    seed: Annotated[int, typer.Option(help="Seed of random fields and noise.")] = 0,
+    seed: Seed = 0,
     colour: Colour = None,
     full_well: FullWell = None,
     rays: Rays = 4096,

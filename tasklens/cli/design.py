@@ -9,6 +9,7 @@ from typing import Annotated
 
 import typer
 
+from tasklens.cli.lens_options import Seed
 from tasklens.cli.network_options import (
     Arguments,
     Images,
@@ -43,7 +44,7 @@ def design(
         typer.Option(help="Materials from front to back, by default COC,OKP4; with choices: COC|PMMA,OKP4|PC."),
     ] = None,
     method: Annotated[str | None, typer.Option(help=_METHOD, show_default=False)] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of all random numbers.")] = 0,
+    seed: Seed = 0,
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="Setting of the method, as in a study: evaluations=2000, descents.0.steps=200."),

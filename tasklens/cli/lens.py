@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, lens_command, reader
+from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, Seed, lens_command, reader
 from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
@@ -28,7 +28,9 @@ Colour = Annotated[
 ]
 FullWell = Annotated[
     float | None,
-    typer.Option(min=1, help="Add sensor noise: electrons per pixel at white, about 6000 in a phone in daylight."),
+    typer.Option(
+        min=1, max=1e9, help="Add sensor noise: electrons per pixel at white, about 6000 in a phone in daylight."
+    ),
 ]
 
 
@@ -104,7 +106,7 @@ def tolerance(
         str, typer.Option(help="Grade: precision_moulding, commercial_moulding or phone_moulding.")
     ] = _GRADE,
     lenses: Annotated[int, typer.Option(min=10, help="Number of Monte Carlo lenses.")] = 200,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the manufacturing errors.")] = 0,
+    seed: Seed = 0,
     json: AsJson = False,
 ) -> None:
     """Monte Carlo tolerancing: yield, worst offenders, and tolerances for a drawing."""

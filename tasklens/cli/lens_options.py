@@ -38,6 +38,7 @@ ObjectDistance = Annotated[
     float | None,
     typer.Option("--object-distance", help="Distance of the object (mm), or inf.", rich_help_panel=_PANEL),
 ]
+Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of all random numbers.")]
 Catalogues = Annotated[
     list[Path] | None, typer.Option(help="Glass catalogue of a .zmx file (.agf or YAML).", rich_help_panel=_PANEL)
 ]
@@ -63,7 +64,7 @@ def reader(
     from tasklens.optics.io import lens_files
 
     files = [*(catalogue or ()), *user_files()]
-    colours = wavelengths.split(",") if wavelengths else None
+    colours = None if wavelengths is None else wavelengths.split(",")
 
     def read(path: Path) -> "LensFile":
         file = lens_files.read(

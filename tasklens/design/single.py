@@ -73,7 +73,7 @@ def designs(
     classifier, module = (network, None) if isinstance(network, Mapping) else (None, network)
     user = Supervisors(dataset, module, None if loss is None else UserTask(loss))
     catalogues = [catalogues] if isinstance(catalogues, str | Path) else catalogues
-    files = [str(path) for path in catalogues]
+    files = [str(path) for path in (*catalogues, *user_files())]
     if start is not None:
         for key, value in {"elements": elements, **spec}.items():
             if value is not None and key in _OF_THE_START:

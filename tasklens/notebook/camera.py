@@ -8,9 +8,10 @@ from torch import Tensor, nn
 from tasklens.design import from_lens
 from tasklens.design.constraints import penalty
 from tasklens.design.variables import Variables, with_coefficients
-from tasklens.imaging import PsfCamera, check_capture, field_indices
+from tasklens.imaging import PsfCamera, check_capture, check_images, field_indices
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -63,6 +64,9 @@ class Camera(nn.Module):
         super().__init__()
         check_capture(colour, outside_window, sensor)
         check_light(lens, view)
+        if lens.dtype != torch.float64:
+            raise InputError(f"lens: expected double precision, as of `load_lens`, got {lens.dtype}")
+        sobol_disc(rays, seed=0)  # checks the number
         self.view, self.rays = view.in_colours(), rays
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor
         start = with_coefficients(lens.detached())
@@ -144,8 +148,7 @@ class Camera(nn.Module):
         return penalty(self.lens, self.limits, self.view)
 
     def _camera(self, images: Tensor) -> PsfCamera:
-        if images.dim() != 4 or images.shape[1] != 3 or not images.is_floating_point() or not len(images):
-            raise InputError(f"images: expected (B, 3, H, W) in [0, 1], got {tuple(images.shape)} of {images.dtype}")
+        check_images(images)
         low, high = (float(bound) for bound in images.detach().aminmax())
         if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
             raise InputError(f"images: expected values in [0, 1], got {low:g} to {high:g}")

@@ -52,7 +52,8 @@ def capture_folder(
 
     Raises:
         InputError: there is no photograph, the output exists, two captures would have the same name, photographs are
-            smaller than half a PSF, or no light arrives at a field. Photographs that cannot be read are counted.
+            smaller than half a PSF, or no light arrives at a field. Photographs that cannot be read are counted, before
+            the first capture.
     """
     files = sorted(class_folders.photographs(folder)) if folder.is_dir() else []
     if not files:
@@ -78,12 +79,12 @@ def capture_folder(
     points = view.fields.tolist()
     rows = ((str(name), k, *points[k]) for name, k in zip(names, fields.tolist(), strict=True))
     table = [dict(zip(("file", "field", "x_mm", "y_mm"), row, strict=True)) for row in rows]
+    folders.check_readable(files)
+    write_rows(output / FIELDS, table)
     progress = Progress(f"captures of {folder}", len(files))
     for first in range(0, len(files), _BLOCK):
         block = slice(first, first + _BLOCK)
         images = folders.read_all(files[block], size).float() / 255
-        if first == 0:
-            write_rows(output / FIELDS, table)
         samples = None if sensor is None else noise(images.shape, generator)
         for name, capture in zip(names[block], camera(images, fields[block], samples), strict=True):
             path = output / name

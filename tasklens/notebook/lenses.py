@@ -209,7 +209,7 @@ def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None 
         is false for lost rays.
 
     Raises:
-        InputError: both `rays` and `pupil`.
+        InputError: both `rays` and `pupil`, or either of another kind.
 
     Example:
         >>> rays = tasklens.trace(lens, view, rays=64)
@@ -217,7 +217,10 @@ def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None 
     """
     if rays is not None and pupil is not None:
         raise InputError("rays: not with `pupil`, which has the points")
-    return trace_fields(lens, view, sobol_disc(256 if rays is None else rays, seed=0) if pupil is None else pupil)
+    points = sobol_disc(256 if rays is None else rays, seed=0) if pupil is None else torch.as_tensor(pupil)
+    if points.dim() != 2 or points.shape[1] != 2:
+        raise InputError(f"pupil: expected points (N, 2), got {tuple(points.shape)}")
+    return trace_fields(lens, view, points)
 
 
 @torch.compiler.disable

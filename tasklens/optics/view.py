@@ -9,6 +9,8 @@ from torch import Tensor
 from tasklens.runtime.errors import InputError
 from tasklens.study.settings import Spec
 
+_WIDEST = 10_000  # pixels of a PSF window
+
 
 @dataclass(frozen=True)
 class View:
@@ -39,8 +41,8 @@ class View:
                 f"object_vergence: expected 1 / distance [mm] of an object in front of the lens, or 0 for one at "
                 f"infinity, got {self.object_vergence}"
             )
-        if self.kernel_size not in range(1, 10**4, 2):
-            raise InputError(f"kernel_size: expected an odd number of pixels, got {self.kernel_size!r}")
+        if self.kernel_size not in range(1, _WIDEST, 2):
+            raise InputError(f"kernel_size: expected an odd number of pixels below {_WIDEST}, got {self.kernel_size!r}")
 
     @property
     def tangents(self) -> Tensor:

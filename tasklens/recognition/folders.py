@@ -122,6 +122,19 @@ def read_all(files: Sequence[Path], size: int) -> Tensor:
     return images
 
 
+def check_readable(files: Sequence[Path]) -> None:
+    """Decode photographs; raises FileError and counts those that cannot be read."""
+    errors, progress = [], Progress("checking photographs", len(files))
+    for step, file in enumerate(files, 1):
+        try:
+            decode(file)
+        except FileError as error:
+            errors.append(error)
+        progress(step)
+    if errors:
+        raise _unreadable(errors, len(files))
+
+
 def _unreadable(errors: Sequence[FileError], count: int) -> FileError:
     """Return the error for files that are not images."""
     if len(errors) == 1:

@@ -32,6 +32,7 @@ _FARTHEST = 0.02  # maximum node spacing, as a fraction of centre to corner: vig
 _CORE = 75  # width of the core window [pixels]
 _HALO, _HALO_PIXEL = 101, 4  # width of the halo window [halo pixels], and of a halo pixel [pixels]
 _AT_ONCE = 4  # fields traced at once, so that they fit in the cache
+_EXTENTS = 1.25, 1.6, 2.0, 3.0, 5.0  # largest trial fields of a lens with distortion, over that of the corner
 _RADII = 129  # radii at which the change of the PSF over the field is measured
 _NEGLIGIBLE = 1e-6  # fraction of the light
 _NOMINAL = 0.02  # a sensor's diagonal may exceed that of its pixels by this: 1080 x 1920 of 1.8 um on 4 mm
@@ -45,6 +46,8 @@ def pitch_on_sensor(lens: Lens, view: View, shape: tuple[int, int]) -> float:
     largest field).
     """
     height = float(view.radii.max()) * abs(float(image_scale(lens.detached(), view)))
+    if not height:
+        raise InputError("the lens has no field except the axis; give a field of view, or the pixel pitch of the image")
     filling = 2e3 * height / math.hypot(*shape)
     return view.pixel_pitch_um if 1 <= filling / view.pixel_pitch_um <= 1 + _NOMINAL else filling
 
@@ -68,13 +71,15 @@ class _FieldMap:
         self.heights = torch.linspace(0, radius, _RADII, dtype=torch.float64)
         self.image_scale = float(image_scale(lens.detached(), view))
         self.fields = self.heights / self.image_scale
-        farthest = radius / self.image_scale * (1.25 if distortion else 1)
-        trial_fields = torch.linspace(0, farthest, 2 * _RADII, dtype=torch.float64)
-        chief = chief_rays(with_open_apertures(lens), view.along_y(trial_fields))
-        image_heights = chief.y[:, 0, 0]
-        rising = chief.valid[:, 0, 0] & (torch.diff(image_heights, prepend=image_heights[:1] - 1) > 0)
-        count = int(rising.int().cumprod(0).sum())
-        heights = image_heights[:count] if distortion else self.image_scale * trial_fields[:count]
+        for extent in _EXTENTS if distortion else (1.0,):
+            trial_fields = torch.linspace(0, extent * radius / self.image_scale, 2 * _RADII, dtype=torch.float64)
+            chief = chief_rays(with_open_apertures(lens), view.along_y(trial_fields))
+            image_heights = chief.y[:, 0, 0]
+            rising = chief.valid[:, 0, 0] & (torch.diff(image_heights, prepend=image_heights[:1] - 1) > 0)
+            count = int(rising.int().cumprod(0).sum())
+            heights = image_heights[:count] if distortion else self.image_scale * trial_fields[:count]
+            if count < len(trial_fields) or heights[-1] >= radius:  # the end of the image, or far enough
+                break
         if not count or heights[-1] < radius * (1 - 1e-9):
             raise InputError(
                 f"the lens has an image up to {float(heights.max()) if count else 0:.3f} mm from the axis, and the "
@@ -125,6 +130,10 @@ def trace_sensor_psfs(
     """
     if lens.pose is not None:
         raise InputError("lens with shifted or tilted surfaces: expected a rotationally symmetric one")
+    if min(shape) < _CORE // 2:
+        raise InputError(
+            f"image of {shape[0]} x {shape[1]} pixels: too small for PSFs of {_CORE}; expected {_CORE // 2} at least"
+        )
     half = [(pixels - 1) / 2 for pixels in shape]
     field_map = _FieldMap(lens, view, math.hypot(*half) * pixel_pitch / 1e3, distortion)
     y, x = _nodes(lens, view, half, pixel_pitch, field_map)

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -84,9 +85,11 @@ def read(
         check_distance(object_distance_mm)
     if not isinstance(wavelengths_um, Iterable | None):
         raise InputError(f"wavelengths_um: expected a list, got {wavelengths_um!r}")
+    colours = () if wavelengths_um is None else tuple(wavelengths_um)
+    if wavelengths_um is not None and not colours:
+        raise InputError("wavelengths_um: expected at least one, got none")
     source, content = read_prescription(path, catalogues, configuration)
     try:
-        colours = () if wavelengths_um is None else wavelengths_um  # an array has no truth value
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
         changes = _validated(
             {
@@ -135,8 +138,9 @@ def check_catalogues(catalogues: Sequence[Path]) -> None:
 
 def check_distance(distance: Any) -> None:
     """Raise InputError if an object is not in front of the lens [mm]."""
-    if not isinstance(distance, int | float):
+    if not isinstance(distance, Real):
         raise InputError(f"object_distance_mm: expected a number, got {distance!r}")
+    distance = float(distance)
     if not (distance > 0 and 1 / distance < math.inf):
         raise InputError(
             f"object distance {distance:g} (--object-distance, in Python object_distance_mm): expected millimetres in "
