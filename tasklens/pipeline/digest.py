@@ -64,9 +64,8 @@ def code_and_imports(module: str) -> tuple[str, set[str]]:
     assert path is not None
     texts = {node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)}
     named = sorted(text for text in texts if text.endswith(_TEMPLATES) and (path.parent / text).is_file())
-    return "\n".join(
-        [repr(_shape(tree)), *((path.parent / name).read_text(encoding="utf-8") for name in named)]
-    ), imports(tree)
+    templates = [(path.parent / name).read_text(encoding="utf-8") for name in named]
+    return "\n".join([repr(_shape(tree)), *templates]), imports(tree)
 
 
 def _shape(node: object) -> object:
