@@ -34,7 +34,7 @@ def trace(lens: Lens, view: View, shape: tuple[int, int]) -> SensorPsfs:
 def once(path: Path, shape: tuple[int, int]) -> tuple[float, float, float]:
     """Processor time of tracing and of blending [s], and peak memory [GB], in a separate process."""
     lens, view = load_lens(path)
-    trace_sensor_psfs(lens, view, (16, 16), 50.0, 16)  # compiled code is loaded
+    trace_sensor_psfs(lens, view, (40, 40), 50.0, 16)  # compiled code is loaded
     image = torch.rand(3, *shape, generator=torch.Generator().manual_seed(0))
     begin = time.process_time()
     psfs = trace(lens, view, shape)

@@ -61,6 +61,7 @@ def test_a_perfect_lens_is_read_as_sharp_photographs_are(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["other_classes.py", "tiny", "others"])
     photographs(tmp_path / "others")
     config = changed(tiny_study(), "classifiers.small.outputs", "all_imagenet")
+    config = changed(config, "images.folder", str(tmp_path / "others"))
     write(Path("results/tiny/study.yaml"), loading.dump(loading.parse(config)))
     weights = Path("results/tiny/classifiers/reference/small.safetensors")
     weights.parent.mkdir(parents=True)
