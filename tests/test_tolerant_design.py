@@ -82,6 +82,7 @@ def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch
     assert len(lenses) == 2 and all(item.pose is None for item in lenses)
 
 
+@pytest.mark.slow
 def test_a_design_for_built_lenses_is_another(start):
     """With equal images and rays, built lenses lead to another design; the same seed repeats it."""
     network = tiny_network()
