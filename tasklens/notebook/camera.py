@@ -11,7 +11,7 @@ from tasklens.design.variables import Variables, with_coefficients
 from tasklens.imaging import PsfCamera, check_capture, check_images, field_indices
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
-from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.pupil import check_rays
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -66,7 +66,7 @@ class Camera(nn.Module):
         check_light(lens, view)
         if lens.dtype != torch.float64:
             raise InputError(f"lens: expected double precision, as of `load_lens`, got {lens.dtype}")
-        sobol_disc(rays, seed=0)  # checks the number
+        check_rays(rays)
         self.view, self.rays = view.in_colours(), rays
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor
         start = with_coefficients(lens.detached())

@@ -49,6 +49,11 @@ at half Nyquist, light in the PSF window. Margin: to the nearest limit of the de
 fraction, degrees); a violation is negative."""
 
 
+def fields_by_angle(figures: Mapping) -> list[int]:
+    """Return the indices of the fields from the smallest angle to the largest."""
+    return sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
+
+
 def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
     """Summarise a lens: materials, first-order data, and figures at the smallest, middle and largest field.
 
@@ -56,7 +61,7 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
         content: content of its file, with origin and worst margin if present.
         figures: its optical figures.
     """
-    order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
+    order = fields_by_angle(figures)
     fields = list(dict.fromkeys((order[0], order[len(order) // 2], order[-1])))
     pieces = [i for i in lens.refracting_surfaces if lens.media[i] != AIR]
     half_nyquist = figures["nyquist_per_mm"] / 2

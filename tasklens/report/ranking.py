@@ -17,6 +17,7 @@ from tasklens.recognition.metrics import mean_metrics
 from tasklens.report import predictions
 from tasklens.report.bootstrap import interval, resampled_means
 from tasklens.report.figures import section_svg
+from tasklens.report.glance import fields_by_angle
 from tasklens.report.page import pictures
 from tasklens.report.publish import publish
 from tasklens.report.tolerance_page import distribution
@@ -224,7 +225,7 @@ def make(
 
 def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: float) -> dict[str, Any]:
     """Return the row of a lens in the table."""
-    fields = sorted(range(len(rank.by_field)), key=lambda field: figures["angle_deg"][field])
+    fields = fields_by_angle(figures)
     return {
         "lens": title,
         "group": rank.group,

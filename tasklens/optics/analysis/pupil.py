@@ -18,14 +18,19 @@ from tasklens.runtime.errors import InputError
 _RIM = 16  # rays per field for the test whether an object is in front of the lens
 
 
+def check_rays(count: int) -> None:
+    """Raise InputError if a number of rays is not a whole number from 1."""
+    if not (isinstance(count, Integral) and count >= 1):
+        raise InputError(f"rays: expected a whole number from 1, got {count!r}")
+
+
 def sobol_disc(count: int, seed: int) -> Tensor:
     """Return (count, 2) points of a scrambled Sobol sequence, uniform over the unit disc.
 
     Raises:
         InputError: `count` is not a whole number from 1.
     """
-    if not (isinstance(count, Integral) and count >= 1):
-        raise InputError(f"rays: expected a whole number from 1, got {count!r}")
+    check_rays(count)
     engine = torch.quasirandom.SobolEngine(2, scramble=True, seed=seed)
     u, v = engine.draw(count, dtype=torch.float64).unbind(-1)
     radius, angle = torch.sqrt(u), 2 * math.pi * v

@@ -38,15 +38,15 @@ def peak(lens: Lens, view: View) -> Tensor:
     steps = max(_STEPS, math.ceil(_RANGE * view.efl / step))
     for _ in range(_DOUBLINGS + 1):
         values = through_focus(lens, view.in_all_quadrants(), -steps * step, step, 2 * steps + 1)
-        best, middle = int(values[_FITTED:-_FITTED].argmax()) + _FITTED, steps
-        if abs(best - middle) <= _INNER * steps:
+        best = int(values[_FITTED:-_FITTED].argmax()) + _FITTED
+        if abs(best - steps) <= _INNER * steps:
             break
         steps *= 2
     x = torch.arange(-_FITTED, _FITTED + 1, dtype=torch.float64)
     near = values[best - _FITTED : best + _FITTED + 1]
     _, slope, bend = torch.linalg.pinv(x[:, None] ** torch.arange(3)) @ near
     offset = -0.5 * slope / bend if bend < 0 else torch.zeros_like(bend)
-    return (best - middle + offset.clamp(-1, 1)) * step
+    return (best - len(values) // 2 + offset.clamp(-1, 1)) * step
 
 
 def through_focus(lens: Lens, view: View, first: float, step: float, count: int) -> Tensor:

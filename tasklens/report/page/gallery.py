@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas
 
+from tasklens.report.glance import fields_by_angle
 from tasklens.report.measurements import lens_values
 from tasklens.report.page import pictures
 from tasklens.report.page.page_files import PageFiles
@@ -100,7 +101,7 @@ def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | Non
 
 def _words(figures: Mapping[str, Any]) -> dict[str, str]:
     """Describe the drawings in words: RMS spots, and MTF at a quarter of the Nyquist frequency."""
-    order = sorted(range(len(figures["angle_deg"])), key=lambda field: figures["angle_deg"][field])
+    order = fields_by_angle(figures)
     field_names = {order[0]: "axis", order[len(order) // 2]: "middle", order[-1]: "corner"}
     spots = (f"{name} RMS {figures['rms_centroid_um'][field]:.1f} um" for field, name in field_names.items())
     tangential, sagittal = (figures[f"mtf_{kind}_quarter_nyquist"] for kind in ("tangential", "sagittal"))
