@@ -26,6 +26,7 @@ def train(
     dataset: ImageDataset,
     minival: ImageDataset,
     camera: PsfCamera,
+    validation_camera: PsfCamera,
     seed: int,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[NAFNet, list[dict[str, Any]]]:
@@ -37,7 +38,8 @@ def train(
     Args:
         settings: network, learning rate, number of steps, and side of the crops.
         dataset, minival: sharp images for training and for validation.
-        camera: camera with the PSFs of the lens.
+        camera: camera with the PSFs of the lens at the fields of training.
+        validation_camera: the same at the fields of validation.
         seed: seed of the network, the image order, the fields and the crops.
         checkpoint: checkpoint of the job; the part is `restoration`.
 
@@ -63,7 +65,7 @@ def train(
         _check_finite("PSNR", quality, step)
         progress(step, psnr_db=quality)
         if step % settings.check == 0 or step == settings.steps:
-            validation_psnr = _validation_psnr(network, minival, camera)
+            validation_psnr = _validation_psnr(network, minival, validation_camera)
             _check_finite("PSNR of the minival", validation_psnr, step)
             rate = schedule.get_last_lr()[0]
             part.history.append({"step": step, "learning_rate": rate, "psnr_db": validation_psnr})

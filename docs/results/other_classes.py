@@ -41,9 +41,8 @@ def answers(study: Study, results: Path, folder: Path, keys: list[Key]) -> Mappi
         for lens, classifier, seed in keys:
             camera = None
             if lens != SHARP:
-                name = "psf_diffraction" if study.capture_of(lens).diffraction else "psf"
-                path = results / "lenses" / lens / f"seed{seed}" / f"{name}.safetensors"
-                camera = PsfCamera.of(study.capture_of(lens), *psf_files.read(path))
+                path = results / "lenses" / lens / f"seed{seed}" / "psf.safetensors"
+                camera = PsfCamera.of(study.capture_of(lens), *psf_files.read(path, "grading"))
             pipeline = evaluation.CapturePipeline(camera)
             correct = evaluation.evaluate(network, photographs, pipeline, f"{lens}, seed {seed}").correct
             frames[lens, classifier, seed] = pandas.DataFrame(correct.T.int().numpy(), index=index)

@@ -119,7 +119,7 @@ def rank(
         screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale)
     content = study(screened)
     count = len(loading.parse(content).imported)
-    say(f"{count} of {len(paths)} lenses are measured with {section['test']} photographs at nine fields")
+    say(f"{count} of {len(paths)} lenses are measured with {section['test']} photographs")
     folder = ranking.run(content, ["ranking"], cores, overwrite)
     if as_built:
         content = study(screened, ranking.first_lenses(folder, content["ranking"]["titles"], as_built))

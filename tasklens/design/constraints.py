@@ -116,6 +116,11 @@ def buffer_scale(name: str) -> float:
     return 0.1 if name in ("efl_tolerance", "distortion", "chief_ray_angle") else 1.0
 
 
+def limit_margins(lens: Lens, limits: Constraints, view: View, semi_diameter: Tensor) -> dict[str, Tensor]:
+    """Compute the margins of all limits at all radii of the sensor, at clear apertures `semi_diameter` (S,) [mm]."""
+    return all_margins(lens, limits, view.at_all_radii(), semi_diameter)
+
+
 def corner_view(view: View) -> View:
     """Return the view of axis and corner at the middle wavelength, for clear semi-diameters."""
     extreme = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.radii.argmax()]])
@@ -125,7 +130,7 @@ def corner_view(view: View) -> View:
 def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
     """Sum the squared violations of all limits, for gradient descent."""
     semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
-    return violation(all_margins(lens, limits, view, semi_diameter)).square().sum()
+    return violation(limit_margins(lens, limits, view, semi_diameter)).square().sum()
 
 
 def incidence_penalty(lens: Lens, view: View, largest_deg: float) -> Tensor:

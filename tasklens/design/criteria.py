@@ -147,7 +147,6 @@ class SpotRadius(Criterion):
         return torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt()
 
 
-@dataclass(frozen=True)
 class Contrast(Criterion):
     """Contrast lost at a quarter and a half of the Nyquist frequency: 1 - Re(OTF), without images.
 
@@ -155,17 +154,16 @@ class Contrast(Criterion):
     frequencies, and over gratings across the field (tangential) and along it. The real part penalises a shifted or
     reversed contrast; the modulus, the MTF, does not. Descents on the MTF led to lenses of high MTF whose captures
     classifiers read worse (docs/notes/baselines.md).
-
-    Attributes:
-        directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.
     """
 
-    directions: Tensor
+    def losses(self, grid: Tensor, directions: Tensor) -> Tensor:
+        """Compute the loss (F,) of PSFs (F, W, K, K); light outside the window has no contrast.
 
-    def losses(self, grid: Tensor) -> Tensor:
-        """Compute the loss (F,) of PSFs (F, W, K, K); light outside the window has no contrast."""
+        Args:
+            directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.
+        """
         pixel = torch.arange(grid.shape[-1], dtype=grid.dtype) - grid.shape[-1] // 2
-        ex, ey = self.directions.to(grid).unbind(-1)
+        ex, ey = directions.to(grid).unbind(-1)
         contrasts = []
         for dx, dy in ((ex, ey), (-ey, ex)):
             position = dx[:, None, None] * pixel + dy[:, None, None] * pixel[:, None]

@@ -96,7 +96,7 @@ class Descent:
         scaled_loss = loss.value / stop if supervisor.criterion.scales_with_stop else loss.value
         change = optimizer.change(vector, design, scaled_loss, fraction, pixels)
         if not (torch.isfinite(loss.fields).all() and torch.isfinite(change).all()):
-            raise divergence(lens, supervisor.problem.view, pupil, loss.fields)
+            raise divergence(lens, loss.view, pupil, loss.fields)
         supervisor.criterion.train_step()
         numbers |= {"loss": loss.fields.mean().item(), "worst_field": loss.fields.max().item()}
         if loss.energy is not None:

@@ -8,18 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import torch
 from pydantic import ValidationError
 
 from tasklens.design import methods
-from tasklens.design.constraints import BUFFER, buffer_scale, first_order_margins, manufacturing_margins
-from tasklens.design.merit import Merit
-from tasklens.design.ray_space import MARGINAL_RAYS
+from tasklens.design.constraints import BUFFER, buffer_scale, limit_margins
+from tasklens.design.merit import limit_semi_diameters
 from tasklens.design.supervisors import OF_STUDY, Designs, Supervisors, supervisors
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.spots import chief_rays, has_light
+from tasklens.optics.analysis.spots import has_light
 from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
@@ -197,11 +195,7 @@ def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str
     scale = max(1.0, view.efl / Spec().efl_mm)
     lengths = {name: scale * getattr(limits, name) for name in _LENGTHS if name not in fixed_names}
     limits = limits.model_copy(update=lengths)
-    merit = Merit(view, limits, rim=MARGINAL_RAYS)
-    margins = manufacturing_margins(lens, limits, merit.clear_semi_diameters(lens))
-    merit_margins = first_order_margins(lens, limits, merit.view, chief_rays(lens, merit.view))
-    view_margins = first_order_margins(lens, limits, view, chief_rays(lens, view))
-    margins |= {name: torch.cat([margin, merit_margins[name]]) for name, margin in view_margins.items()}
+    margins = limit_margins(lens, limits, view, limit_semi_diameters(lens, view))
     own_values: dict[str, float] = {}
     violated = []
     for name, margin in margins.items():

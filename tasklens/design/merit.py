@@ -9,14 +9,14 @@ from torch import Tensor
 from tasklens.design.linear_limits import LinearLimits
 from tasklens.optics.analysis.aiming import stop_is_inside
 from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields
-from tasklens.optics.analysis.spots import trace_fields_full
+from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import linearise
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
 
-# Fields as fractions of the largest, near the nine of a specification.
+# Fields as fractions of the largest.
 FIELD_HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)
 RINGS, ARMS = 8, 6  # with 6 x 4, true corner spots were twice the optimised ones
 _APERTURE_RESERVE = 1.01  # clear semi-diameter / radius that the rays of the merit function use
@@ -80,11 +80,6 @@ class Merit:
         spots = (squares / (self.of_field[:, 0, 0] * len(self.view.wavelengths_um))).sqrt()
         return float(spots.mean())
 
-    def clear_semi_diameters(self, lens: Lens) -> Tensor:
-        """Compute the semi-diameters (S,) at which limits are evaluated: 1 % more than the rays use [mm]."""
-        _, surface_rays = trace_fields_full(lens.detached(), self.view, self.pupil)
-        return _APERTURE_RESERVE * torch.stack([torch.hypot(x, y) for x, y, _ in map(_outermost, surface_rays)])
-
     def linearise(self, lens: Lens) -> tuple[Tensor, Callable[[Mapping[str, Tensor]], Tensor]]:
         """Return residuals (R,) [um], and a function from V changes of the lens (as in `tracing`) to (R, V) columns."""
         view = self.view
@@ -138,6 +133,12 @@ class Merit:
             case "pinhole":
                 centre = torch.zeros_like(self.view.fields[:, 1]) if change else self.view.fields[:, 1]
         return x[..., :count], y[..., :count] - centre[..., None, None]
+
+
+def limit_semi_diameters(lens: Lens, view: View) -> Tensor:
+    """Compute the semi-diameters (S,) at which limits are evaluated: 1 % more than rays of all radii use [mm]."""
+    pupil = torch.cat([gauss_quadrature(RINGS, ARMS)[0], OUTLINE])
+    return _APERTURE_RESERVE * clear_semi_diameters(lens.detached(), view.at_all_radii(), pupil)
 
 
 def _outermost(rays: Rays) -> tuple[Tensor, Tensor, int]:

@@ -10,14 +10,14 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.design import descents, least_squares
-from tasklens.design.constraints import all_margins, smallest_margins, worst_margin
+from tasklens.design.constraints import limit_margins, smallest_margins, worst_margin
 from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.variables import with_coefficients
-from tasklens.optics.analysis.datasheet import figures
+from tasklens.optics.analysis.datasheet import figures, means
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
@@ -65,11 +65,12 @@ def design(
     settings, view = plan.entry.design, view_of_spec(plan.spec)
     if isinstance(settings, ImportedLens):
         lens, origin = imported.fit(settings, view, plan.spec.f_number, plan.rays)
-        radii = clear_semi_diameters(lens, view, torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)]))
+        pupil = torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)])
+        radii = clear_semi_diameters(lens, view.at_all_radii(), pupil)
         origin = {"design": plan.entry.design_name, "method": "file"} | origin
         return *with_notes(lens, _APERTURE * radii, plan, origin), [], None
     free = settings.free if isinstance(settings, GradientDesignSettings) else None
-    problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, free)
+    problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, free, plan.fields)
     origin = {"design": plan.entry.design_name, "method": settings.method, "seed": plan.seed}
     if isinstance(settings, LeastSquaresSettings):
         plates = flat(plan.entry.plastics, plan.spec, plan.constraints)
@@ -100,7 +101,7 @@ def design(
             case "correlation":
                 return Correlation()
             case "contrast":
-                return Contrast(view.directions)
+                return Contrast()
         return ImageError(logarithm=part.criterion == "log_image_error")
 
     if starts:
@@ -136,13 +137,14 @@ def with_notes(
         radii: (S,) illuminated radii [mm]; they become the clear apertures.
     """
     view = view_of_spec(plan.spec)
-    margins = all_margins(lens, plan.constraints, view, torch.minimum(radii, lens.semi_diameter))
+    margins = limit_margins(lens, plan.constraints, view, torch.minimum(radii, lens.semi_diameter))
     name, value = worst_margin(margins)
     lens = lens if keep_apertures else with_clear_apertures(lens, radii)
     notes = {
         "spec": plan.spec.model_dump(mode="json"),
         "origin": origin,
         "figures": figures(lens, view, plan.rays),
+        "means": means(lens, view.at(plan.averaged), plan.rays),
         "margins": smallest_margins(margins),
         "worst_margin": {"limit": name, "value": value},
     }

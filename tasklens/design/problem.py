@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from tasklens.design.variables import Free
-from tasklens.optics.view import View
+from tasklens.optics.view import View, drawn_points
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.study.fields import SELECTION, Points
 from tasklens.study.settings import CaptureSettings, Constraints
 
 History = list[dict[str, Any]]  # a row per logged step of a design
@@ -16,12 +17,13 @@ class Problem:
     """A design problem.
 
     Attributes:
-        view: fields, wavelengths and pixels.
+        view: sensor, wavelengths and pixels; the fields of losses are those of `fields`.
         limits: limits of the design.
         seed: seed of all random numbers.
         capture: capture settings, for supervised designs.
         dataset: sharp training images, for supervised designs.
         free: free variables by name, and their surfaces; None: all.
+        fields: fields of the losses, fractions of the sensor; None: drawn anew in each step.
     """
 
     view: View
@@ -30,3 +32,13 @@ class Problem:
     capture: CaptureSettings | None = None
     dataset: ImageDataset | None = None
     free: Free | None = None
+    fields: Points | None = None
+
+    def view_of_step(self, seed: int) -> View:
+        """Return the view of a step: the fixed fields, or nine that are drawn uniformly in area."""
+        return self.view.at(drawn_points(1, seed) if self.fields is None else self.fields)
+
+    @property
+    def view_of_validation(self) -> View:
+        """View at the fields on which lenses of the design are compared: the fixed fields, or centres of cells."""
+        return self.view.at(self.fields or SELECTION)

@@ -26,6 +26,7 @@ from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
 from tasklens.optics.tolerancing import focus
 from tasklens.optics.tolerancing.errors import draw, errors, with_errors
+from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.devices import random_state, set_random_state
 from tasklens.study.settings import CaptureSettings
@@ -98,12 +99,14 @@ class Loss:
 
     Attributes:
         rays: rays of the lens.
+        view: fields of the losses.
         fields: (F,) weighted losses of the fields.
         value: scalar, differentiable in the lens; its gradient is that of the mean loss.
         energy: mean energy of the PSFs inside their window; None for a loss of rays.
     """
 
     rays: Rays
+    view: View
     fields: Tensor
     value: Tensor
     energy: float | None
@@ -121,7 +124,7 @@ class Supervisor:
         micro_batch: maximum number of captures that the criterion takes at once.
         centre: centre of PSFs; at the pinhole points, errors of focal length and distortion increase the loss.
         grade: tolerance grade of the built lenses that are evaluated; None: the design itself is evaluated.
-        corner_weight: weight of the corner field in the mean, geometric from 1 on the axis.
+        corner_weight: weight of the corner in the mean, geometric over the radius from 1 on the axis.
     """
 
     criterion: Criterion
@@ -133,11 +136,9 @@ class Supervisor:
     grade: Grade | None = None
     corner_weight: float = 1.0
 
-    @property
-    def weights(self) -> Tensor:
-        """Weights (F,) of the fields, with mean 1."""
-        radii = self.problem.view.radii
-        weights = self.corner_weight ** (radii / radii.max())
+    def weights(self, view: View) -> Tensor:
+        """Return the weights (F,) of fields, with mean 1."""
+        weights = self.corner_weight ** (view.radii / self.problem.view.radii.max())
         return weights / weights.mean()
 
     @property
@@ -174,46 +175,46 @@ class Supervisor:
         lenses = [with_errors(lens, error_list, sample, view.reference_um) for sample in draw(error_list, count, seed)]
         return [focus.focused(built_lens, view, peak)[0] for built_lens in lenses]
 
-    def trace(self, lens: Lens, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
+    def trace(self, lens: Lens, view: View, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""
-        view = self.problem.view
         rays = trace_fields(lens, view, pupil)
         centre = view.fields if self.centre == "pinhole" else chief_points(lens, view)
         return rays, psf(rays, centre, view.pixel_pitch_um * pixels, view.kernel_size)
 
-    def illumination(self, lens: Lens) -> Tensor | None:
+    def illumination(self, lens: Lens, view: View) -> Tensor | None:
         """Compute the relative illumination (F,) for a sensor, without gradient; None without a sensor."""
         if self.capture.sensor is None:
             return None
-        return relative_illumination(lens.detached(), self.problem.view, *_PUPIL)
+        return relative_illumination(lens.detached(), view, *_PUPIL)
 
     def loss(
         self, lens: Lens, pupil: Tensor, pixels: float, indices: Tensor | None, seed: int, design: Lens | None = None
     ) -> Loss:
-        """Compute the loss of a lens.
+        """Compute the loss of a lens at the fields of a step.
 
         Args:
             pupil: (N, 2) pupil points of the rays.
             pixels: pixel pitch [sensor pixels].
             indices: (B,) indices of the images.
-            seed: seed of a sensor's noise.
+            seed: seed of the fields and of a sensor's noise.
             design: lens for the illumination, if `lens` is built from it.
         """
-        criterion = self.criterion
+        criterion, view = self.criterion, self.problem.view_of_step(seed)
+        weights = self.weights(view)
         if isinstance(criterion, SpotRadius):
-            rays = trace_fields(lens, self.problem.view, pupil)
-            spots = self.weights * criterion.losses(rays)
-            return Loss(rays, spots.detach(), spots.mean(), None)
-        rays, grid = self.trace(lens, pupil, pixels)
+            rays = trace_fields(lens, view, pupil)
+            spots = weights * criterion.losses(rays)
+            return Loss(rays, view, spots.detach(), spots.mean(), None)
+        rays, grid = self.trace(lens, view, pupil, pixels)
         energy = float(grid.detach().sum((-2, -1)).mean())
         if isinstance(criterion, Contrast):
-            contrasts = self.weights * criterion.losses(grid)
-            return Loss(rays, contrasts.detach(), contrasts.mean(), energy)
+            contrasts = weights * criterion.losses(grid, view.directions)
+            return Loss(rays, view, contrasts.detach(), contrasts.mean(), energy)
         assert isinstance(criterion, CaptureCriterion) and indices is not None
         images, labels = self.images(indices, self.augment)
-        settings = self.capture, self.micro_batch, self.illumination(design or lens), seed, self.weights
+        settings = self.capture, self.micro_batch, self.illumination(design or lens, view), seed, weights
         losses, gradient = loss_at_psf(criterion, images, labels, grid, *settings)
-        return Loss(rays, losses, (grid * gradient).sum(), energy)
+        return Loss(rays, view, losses, (grid * gradient).sum(), energy)
 
     def validation_loss(self, lens: Lens, pixels: float) -> float:
         """Compute the mean loss of a lens, or of lenses built from it, on the fixed images that guide a descent."""
@@ -244,7 +245,8 @@ class Supervisor:
         lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
         state = random_state()
         torch.manual_seed(self.problem.seed)
-        light = self.illumination(lens) if isinstance(self.criterion, CaptureCriterion) else None
+        captured = isinstance(self.criterion, CaptureCriterion)
+        light = self.illumination(lens, self.problem.view_of_validation) if captured else None
         losses = torch.stack([self._losses_on(part, built_lens, light, pixels) for built_lens in lenses]).mean(0)
         set_random_state(state)
         return losses
@@ -252,11 +254,13 @@ class Supervisor:
     def _losses_on(self, part: slice, lens: Lens, light: Tensor | None, pixels: float) -> Tensor:
         """Compute the losses (N,) of one lens at a relative illumination (F,), without augmentation."""
         criterion, pupil = self.criterion, sobol_disc(_VALIDATION_RAYS, seed=0)
+        view = self.problem.view_of_validation
+        weights = self.weights(view)
         if isinstance(criterion, SpotRadius):
-            return self.weights * criterion.losses(trace_fields(lens, self.problem.view, pupil))
-        _, grid = self.trace(lens, pupil, pixels)
+            return weights * criterion.losses(trace_fields(lens, view, pupil))
+        _, grid = self.trace(lens, view, pupil, pixels)
         if isinstance(criterion, Contrast):
-            return self.weights * criterion.losses(grid)
+            return weights * criterion.losses(grid, view.directions)
         assert isinstance(criterion, CaptureCriterion)
         images, labels = self.images(self.fixed_images(part), augment=False)
         capture = self.capture
@@ -270,5 +274,5 @@ class Supervisor:
                 captures = camera.all_fields(batch, noise)
                 sharp, targets = (torch.cat([values] * len(grid)) for values in (batch, batch_labels))
                 loss = criterion.losses(captures.flatten(0, 1), sharp, targets)
-                losses.append((self.weights.to(loss)[:, None] * loss.reshape(len(grid), -1)).mean(0))
+                losses.append((weights.to(loss)[:, None] * loss.reshape(len(grid), -1)).mean(0))
         return torch.cat(losses)

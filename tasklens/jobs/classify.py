@@ -1,6 +1,6 @@
 """Fine-tuning and measurement of a classifier on captures of a lens, and reproduction from stored weights."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
@@ -33,6 +33,8 @@ def fine_tune(
 ) -> None:
     """Write weights, metrics by field, predictions by test image, and pre-training losses by minival image.
 
+    Networks are trained at fields that are drawn, chosen at others, and graded at fields that neither used.
+
     Args:
         psf: PSFs of the lens; None for sharp images.
         restoration: weights of the restoration network; None for unrestored captures.
@@ -43,35 +45,41 @@ def fine_tune(
             dataset.read(*split, device=group.device) for split in (train, minival, test)
         )
         network = classifiers.build(settings.classifier, training_images.classes, reference).to(group.device)
-        pipeline = _capture_pipeline(settings, psf, restoration, group.device)
+        pipeline = _pipelines(settings, psf, restoration, group.device)
+        choice = pipeline("selection")
         if group.is_first:
             initial_network = classifiers.frozen(network, images.images)
-            before = evaluation.evaluate(initial_network, selection, pipeline, "minival, before training", checkpoint)
-            zero_shot, on_test = [], None
-            if not settings.training.epochs or network.has_more_outputs:
-                on_test = evaluation.evaluate(initial_network, images, pipeline, "test, before training", checkpoint)
-                zero_shot = evaluation.zero_shot(network, on_test)
+            before = evaluation.evaluate(initial_network, selection, choice, "minival, before training", checkpoint)
+            zero_shot = []
+            if network.has_more_outputs:
+                untrained = pipeline("grading"), "test, before training", checkpoint
+                zero_shot = evaluation.zero_shot(network, evaluation.evaluate(initial_network, images, *untrained))
         training.fit(
             network,
             training_images,
             settings.training,
             settings.seed,
             "fine-tune",
-            pipeline.one_field,
+            pipeline("training").one_field,
             checkpoint,
             group,
         )
     if not group.is_first:
         return
     final_network, after = classifiers.frozen(network, images.images), before
-    if settings.training.epochs or on_test is None:
-        on_test = evaluation.evaluate(final_network, images, pipeline, "test", checkpoint)
-        after = evaluation.evaluate(final_network, selection, pipeline, "minival", checkpoint)
-    rows = evaluation.measure(network, images, on_test, after, pipeline.camera is not None)
+    if settings.training.epochs:
+        after = evaluation.evaluate(final_network, selection, choice, "minival", checkpoint)
+    graded = {
+        fields: evaluation.evaluate(final_network, images, pipeline(fields), f"test, {fields}", checkpoint)
+        for fields in dict.fromkeys(settings.graded.values())
+    }
+    test_by_metric = {metric: graded[fields] for metric, fields in settings.graded.items()}
+    rows = evaluation.measure(network, images, test_by_metric, after, settings.capture is not None)
+    correct = {"field" if fields == "grading" else fields: part.correct.int() for fields, part in graded.items()}
     write_tensors(weights, network.network.state_dict(), {"model": settings.classifier.model})
-    write_rows(frozen, evaluation.by_image(before.losses, selection))
+    write_rows(frozen, evaluation.by_image({"field": before.losses}, selection))
     write_rows(metrics, [settings.columns | row for row in zero_shot + rows])
-    write_rows(predictions, evaluation.by_image(on_test.correct.int(), images))
+    write_rows(predictions, evaluation.by_image(correct, images))
 
 
 def reproduce(
@@ -88,20 +96,25 @@ def reproduce(
     images = dataset.read(*test, device=device)
     network = classifiers.build(settings.classifier, images.classes, weights).to(device)
     classifier = classifiers.frozen(network, images.images)
-    pipeline = _capture_pipeline(settings, psf, restoration, device)
+    pipeline = _pipelines(settings, psf, restoration, device)("grading")
     correct = evaluation.evaluate(classifier, images, pipeline, "test", checkpoint).correct
-    write_rows(predictions, evaluation.by_image(correct.int(), images))
+    write_rows(predictions, evaluation.by_image({"field": correct.int()}, images))
 
 
-def _capture_pipeline(
+def _pipelines(
     settings: CapturePipelineSettings, psf: Path | None, restoration: Path | None, device: torch.device
-) -> CapturePipeline:
-    """Build the capture pipeline from cached PSFs, if any, and the trained restoration, if any."""
-    camera = network = None
-    if settings.capture is not None:
-        assert psf is not None  # captures need the PSFs of a lens
-        camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
+) -> Callable[[str], CapturePipeline]:
+    """Return the capture pipelines by set of fields, from cached PSFs and the trained restoration, if any."""
+    network = None
     if settings.restoration is not None:
         assert restoration is not None  # weights of the network
         network = nafnet.load(settings.restoration, restoration).to(device)
-    return CapturePipeline(camera, network)
+
+    def pipeline(fields: str) -> CapturePipeline:
+        if settings.capture is None:
+            return CapturePipeline(None, network)
+        assert psf is not None  # captures need the PSFs of a lens
+        tensors = (tensor.to(device) for tensor in psf_files.read(psf, fields))
+        return CapturePipeline(PsfCamera.of(settings.capture, *tensors), network)
+
+    return pipeline

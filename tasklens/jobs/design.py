@@ -1,16 +1,12 @@
-"""Design of a lens, or its import from a file; and its PSFs."""
+"""Design of a lens, or its import from a file."""
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 
 from tasklens.design import methods
-from tasklens.optics.analysis.illumination import relative_illumination
-from tasklens.optics.analysis.spots import evaluation_psf
-from tasklens.optics.io import prescription, psf_files
-from tasklens.optics.io.psf_files import FieldPsfs
+from tasklens.optics.io import prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.psf import psf_notes
-from tasklens.optics.view import view_of_spec
 from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
@@ -28,10 +24,9 @@ def run(
     metrics: Sequence[Path],
     lens: Path,
     history: Path,
-    psf: Path,
     checkpoint: Checkpoint,
 ) -> None:
-    """Write the prescription with its figures and margins, the history of the design, and the PSFs at all fields.
+    """Write the prescription with its figures and margins, and the history of the design.
 
     Args:
         train: training images and their labels or objects; empty for a design without images.
@@ -66,13 +61,9 @@ def run(
     design, notes, rows, _ = methods.design(
         settings, classifier, images, start_lenses, candidate_lenses, checkpoint, task
     )
-    view = view_of_spec(settings.spec)
     write_rows(history, rows)
-    prescription.write(lens, prescription.Prescription(design, object_distance_mm=view.object_distance), notes)
-    design = prescription.read(lens)[0].lens
-    grid = evaluation_psf(design, view, settings.rays)
-    psfs = FieldPsfs(grid, relative_illumination(design, view))
-    psf_files.write(psf, psfs, psf_notes(view, grid) | {"rays": settings.rays})
+    distance = settings.spec.object_distance_mm or math.inf
+    prescription.write(lens, prescription.Prescription(design, object_distance_mm=distance), notes)
 
 
 def _lenses(paths: Sequence[Path]) -> list[Lens]:

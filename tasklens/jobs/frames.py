@@ -19,13 +19,11 @@ from tasklens.simulation.blend import capture
 from tasklens.simulation.charts import resolution_chart
 from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.study.report_jobs import FramesJob
-from tasklens.study.settings import CaptureSettings
 
 _SHAPE = 1080, 1920  # largest frame [pixels]
-_FIELD = 4  # middle of the nine fields
 _RULE = (
-    "Last rows: the first test image in file order that the network of {one} recognises at the middle field\nbut that "
-    "of {other} does not, and the first one vice versa, if there are any"
+    "Last rows: the first test image in file order that the network of {one} recognises halfway to the corner\nbut "
+    "that of {other} does not, and the first one vice versa, if there are any"
 )
 
 
@@ -96,7 +94,7 @@ def _disagreements(
         files: PSFs and predictions by lens.
     """
     lenses = list(files)
-    correct = {lens: predictions.read(path).iloc[:, _FIELD] == 1 for lens, (_, path) in files.items()}
+    correct = {lens: predictions.read(path).iloc[:, settings.field] == 1 for lens, (_, path) in files.items()}
     for lens in lenses[1:]:
         predictions.same_images(correct[lenses[0]], correct[lens], f"{lenses[0]} and {lens}")
     disagreements = []
@@ -107,7 +105,7 @@ def _disagreements(
         row = int(only.argmax())
         image, label = only.index[row]
         images, _ = test.batch(torch.tensor([int(image)]))
-        captures = {lens: _single(settings.captures[lens], psf, images) for lens, (psf, _) in files.items()}
+        captures = {lens: _single(settings, lens, psf, images) for lens, (psf, _) in files.items()}
         answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
         disagreements.append(
             frames.ClassifiedImage(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers)
@@ -115,7 +113,9 @@ def _disagreements(
     return disagreements
 
 
-def _single(settings: CaptureSettings, psf: Path, images: Tensor) -> Tensor:
-    """Return the capture (3, H, W) of one image at the middle field."""
-    field_tensors = (tensor[[_FIELD]] for tensor in psf_files.read(psf))
-    return PsfCamera.of(settings, *field_tensors).all_fields(images, torch.Generator().manual_seed(0))[0, 0]
+def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor) -> Tensor:
+    """Return the capture (3, H, W) of one image through a lens at the field of `settings`."""
+    field_tensors = (tensor[[settings.field]] for tensor in psf_files.read(psf, "grading"))
+    return PsfCamera.of(settings.captures[lens], *field_tensors).all_fields(images, torch.Generator().manual_seed(0))[
+        0, 0
+    ]

@@ -40,11 +40,11 @@ def run(
     """Write a row for the design and each built lens, a row for each error, and a page that shows both."""
     device = claim()
     tolerances = settings.tolerances
-    nominal, view = prescription.read(lens)[0].lens, view_of_spec(settings.spec)
+    nominal, view = prescription.read(lens)[0].lens, view_of_spec(settings.spec).at(settings.grading)
     images, selection = (dataset.read(*split, device=device) for split in (test, minival))
     network = classifiers.build(settings.classifier, images.classes, weights).to(device)
     classifier = classifiers.frozen(network, images.images)
-    illumination = psf_files.read(psf).illumination.to(device)
+    illumination = psf_files.read(psf, "grading").illumination.to(device)
     model = Production(
         nominal,
         view,

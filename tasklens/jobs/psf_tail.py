@@ -17,7 +17,8 @@ def run(
     """Write the table of tails, its rows by field, and the encircled energy; `lenses` are files of `lens_keys`."""
     by_field, curves = [], []
     for (lens, seed), path in zip(settings.lens_keys, lenses, strict=True):
-        fields, curve = tail(prescription.read(path)[0].lens, view_of_spec(settings.specs[lens]), settings.rays)
+        view = view_of_spec(settings.specs[lens]).at(settings.fields)
+        fields, curve = tail(prescription.read(path)[0].lens, view, settings.rays)
         by_field += [{"lens": lens, "seed": seed} | row for row in fields]
         curves += [{"lens": lens, "seed": seed} | row for row in curve]
     tails.publish_tails(settings.study, by_field, csv, md)

@@ -24,8 +24,13 @@ def run(
 ) -> None:
     """Write the weights and the training history."""
     device = claim()
-    camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
+    camera, validation_camera = (
+        PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf, fields)))
+        for fields in ("training", "selection")
+    )
     images, selection = (dataset.read(*split, device=device) for split in (train, minival))
-    network, rows = training.train(settings.restoration, images, selection, camera, settings.seed, checkpoint)
+    splits = images, selection
+    cameras = camera, validation_camera
+    network, rows = training.train(settings.restoration, *splits, *cameras, settings.seed, checkpoint)
     write_rows(history, rows)
     write_tensors(weights, network.state_dict(), {})

@@ -44,26 +44,26 @@ def fine_tune(
     training_images, test_images = (objects.read(*split, device=device) for split in (training_scenes, test_scenes))
     size, classes = training_images.images.shape[-1], training_images.classes
     network = task_networks.load(settings.name, settings.network, classes, size, reference).to(device)
-    camera = None
-    if settings.capture is not None:
-        assert psf is not None  # captures need the PSFs of a lens
-        camera = PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf)))
-    pipeline = CapturePipeline(camera)
+    pipelines = dict.fromkeys(("training", "grading"), CapturePipeline())
+    for fields in pipelines if settings.capture is not None else ():
+        assert settings.capture is not None and psf is not None  # captures need the PSFs of a lens
+        tensors = (tensor.to(device) for tensor in psf_files.read(psf, fields))
+        pipelines[fields] = CapturePipeline(PsfCamera.of(settings.capture, *tensors))
     training_task, test_task = (
         object_tasks.make(settings.name, settings.network, split) for split in (training_images, test_images)
     )
     test = test_images.as_images()
-    rows = [row | {"tuned": False} for row in scores(network, test_task, test, pipeline)]
+    rows = [row | {"tuned": False} for row in scores(network, test_task, test, pipelines["grading"])]
     training.fit(
         network,
         training_images.as_images(),
         settings.network.fine_tuning,
         settings.seed,
         f"fine-tuning of {settings.name}",
-        pipeline.one_field,
+        pipelines["training"].one_field,
         checkpoint,
         task=training_task,
     )
-    rows += [row | {"tuned": True} for row in scores(network, test_task, test, pipeline)]
+    rows += [row | {"tuned": True} for row in scores(network, test_task, test, pipelines["grading"])]
     write_tensors(weights, network.state_dict(), {"task": settings.name})
     write_rows(metrics, [settings.columns | row for row in rows])

@@ -14,7 +14,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import check_rays
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
-from tasklens.optics.view import View
+from tasklens.optics.view import View, drawn_points
 from tasklens.runtime.errors import InputError
 from tasklens.study.settings import Constraints, SensorSettings
 
@@ -124,19 +124,22 @@ class Camera(nn.Module):
         """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W), of the same type.
 
         Args:
-            fields: (B,) index of the field of each image; None: random, from torch's default generator.
+            fields: (B,) index of the field of the view for each image; None: fields over the whole sensor, drawn
+                uniformly in area from torch's default generator, so that training sees no fixed points alone.
 
         Raises:
             InputError: images or fields of another shape, or a lens that is not finite.
         """
-        # Wrong fields are refused before the lens is traced.
-        indices = field_indices(fields, len(images), len(self.view.fields))
-        return self._camera(images)(images, indices).to(images.dtype)
+        view = self.view
+        if fields is None:
+            view = view.at(drawn_points(1, seed=int(torch.randint(2**31, ()))))
+        indices = field_indices(fields, len(images), len(view.fields))  # refused before the lens is traced
+        return self._camera(images, view)(images, indices).to(images.dtype)
 
     @torch.compiler.disable
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
-        return self._camera(images).all_fields(images).to(images.dtype)
+        return self._camera(images, self.view).all_fields(images).to(images.dtype)
 
     @torch.compiler.disable
     def penalty(self) -> Tensor:
@@ -147,7 +150,7 @@ class Camera(nn.Module):
         """
         return penalty(self.lens, self.limits, self.view)
 
-    def _camera(self, images: Tensor) -> PsfCamera:
+    def _camera(self, images: Tensor, view: View) -> PsfCamera:
         check_images(images)
         low, high = (float(bound) for bound in images.detach().aminmax())
         if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
@@ -155,8 +158,8 @@ class Camera(nn.Module):
         lens = self.lens
         if bad := lens.not_finite:
             raise InputError(f"{bad} of the lens is not finite: the training diverged; lower the learning rate")
-        light = None if self.sensor is None else relative_illumination(lens.detached(), self.view)
-        psf = evaluation_psf(lens, self.view, self.rays).float().to(images.device)
+        light = None if self.sensor is None else relative_illumination(lens.detached(), view)
+        psf = evaluation_psf(lens, view, self.rays).float().to(images.device)
         return PsfCamera(
             psf, colour=self.colour, outside_window=self.outside_window, sensor=self.sensor, illumination=light
         )

@@ -10,7 +10,7 @@ from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
-from tasklens.optics.view import View
+from tasklens.optics.view import View, drawn_points
 from tasklens.recognition import class_folders, folders, user_images
 from tasklens.report.image_files import write_captures
 from tasklens.runtime.errors import InputError
@@ -20,6 +20,7 @@ from tasklens.sensor import noise
 from tasklens.study.settings import SensorSettings
 
 FIELDS = "fields.csv"  # of the captures
+_DRAWS = 8  # draws of nine fields
 _BLOCK = 64  # photographs in memory
 
 
@@ -43,7 +44,8 @@ def capture_folder(
         folder: folder of photographs, at any depth.
         output: new folder of the captures.
         size: side of the captures [pixels]: photographs are cropped to their central square and resized.
-        field: index of the field of all photographs; None: random fields by `seed`, which also draws noise.
+        field: index of the field of the view for all photographs; None: fields over the whole sensor, drawn by `seed`
+            uniformly in area; `seed` also draws noise.
         colour, sensor: as in `tasklens.simulate`.
         rays: number of rays of each field and colour.
 
@@ -68,6 +70,8 @@ def capture_folder(
     check_capture(colour, sensor=sensor)
     view = view.in_colours()
     check_light(lens, view)
+    if field is None:
+        view = view.at(drawn_points(_DRAWS, seed))
     illumination = None if sensor is None else relative_illumination(lens.detached(), view)
     camera = PsfCamera(
         evaluation_psf(lens.detached(), view, rays), colour=colour, sensor=sensor, illumination=illumination

@@ -6,6 +6,7 @@ from tasklens.design.single import BASELINES
 from tasklens.design.supervisors import Designs
 from tasklens.notebook.ranking import Ranking, rank
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.report import between_fields
 from tasklens.report.bootstrap import interval, resampled_means
 
 _CHOICE = 200  # maximum number of design images used to select the best lens for image quality
@@ -41,4 +42,5 @@ def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
         f"starts and effort ({best}, chosen on photographs of the design): {gain:+.1f} points ({low:+.1f} to "
         f"{high:+.1f}), {answer}. The interval is over the photographs; it is one design of each kind."
     )
+    words = " ".join([words, *between_fields.warnings(ranking.correct, ranking.at_nine)])
     return words, ranking

@@ -1,15 +1,18 @@
 """Fields, wavelengths and pixels at which a lens is evaluated."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
 from tasklens.runtime.errors import InputError
+from tasklens.study.fields import CELLS
 from tasklens.study.settings import Spec
 
 _WIDEST = 10_000  # pixels of a PSF window
+_RADII = 33  # with four times as many, margins of 110 published lenses within their limits change by at most 3e-4
 
 
 @dataclass(frozen=True)
@@ -89,6 +92,15 @@ class View:
         """Return the view with fields at `radii` (F,) [mm] along +y."""
         return replace(self, fields=torch.stack([torch.zeros_like(radii), radii], -1))
 
+    def at(self, points: Sequence[tuple[float, float]] | Tensor) -> "View":
+        """Return the view at points (F, 2) of its quadrant, fractions of its largest |x| and |y|."""
+        fractions = torch.as_tensor(points, dtype=self.fields.dtype)
+        return replace(self, fields=fractions * self.fields.abs().amax(0))
+
+    def at_all_radii(self) -> "View":
+        """Return the view along +y, so dense from the axis to the corner that limits and apertures hold in between."""
+        return self.along_y(self.radii.max() * torch.linspace(0, 1, _RADII, dtype=self.fields.dtype))
+
     def in_meridian(self) -> "View":
         """Return the view with every field rotated onto +y, equivalent for a rotationally symmetric lens."""
         return self.along_y(self.radii)
@@ -113,3 +125,10 @@ def view_of_spec(spec: Spec) -> View:
     fields = torch.tensor(spec.fields_mm, dtype=torch.float64)
     vergence = 1 / (spec.object_distance_mm or math.inf)
     return View(fields, spec.efl_mm, spec.wavelengths_um, spec.pixel_pitch_um, spec.kernel_size, vergence)
+
+
+def drawn_points(draws: int, seed: int) -> Tensor:
+    """Draw fields (9 draws, 2) uniformly in area: in each draw, one in each of 3 x 3 equal cells of the quadrant."""
+    cell = torch.cartesian_prod(torch.arange(CELLS), torch.arange(CELLS)).flip(-1)
+    within = torch.rand(draws, CELLS**2, 2, generator=torch.Generator().manual_seed(seed), dtype=torch.float64)
+    return ((cell + within) / CELLS).flatten(0, 1)

@@ -216,6 +216,7 @@ def study(
         "images": dict(images),
         "spec": dict(spec),
         "capture": dict(capture),
+        "fields": {"nine": True},
         "elements": {},
         "designs": {},
         "imported": {lens: screened.entries[lens] for lens in lenses},

@@ -1,7 +1,7 @@
 """Capture pipeline; accuracy of classifiers and scores of other networks on captures, by field."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -15,23 +15,30 @@ from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 from tasklens.sensor import noise
+from tasklens.study.fields import CELLS
 
 _WORST = 0.01  # fraction of images with the lowest PSNR, averaged in `worst_psnr_db`
+_DRAW = CELLS**2  # fields of a draw
 _BATCH = 64  # images per rendering, and captures per forward pass
 
 
 @dataclass(frozen=True)
 class CapturePipeline:
-    """Optional camera, then optional restoration, applied to images before a classifier."""
+    """Optional camera, then optional restoration, applied to images before a classifier.
+
+    For training, the fields of the camera are draws of nine.
+    """
 
     camera: PsfCamera | None = None
     restoration: nn.Module | None = None
 
     def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:
-        """Return captures of a share of images (B, 3, H, W) in [0, 1], each at a random field, for training."""
+        """Return captures of a share of images (B, 3, H, W) in [0, 1] at random fields of one draw, for training."""
         if self.camera is None:
             return self._restored(images[share])
-        fields = torch.randint(len(self.camera.psf), (len(images),), generator=generator)
+        draws = len(self.camera.psf) // _DRAW
+        first = _DRAW * int(torch.randint(draws, (), generator=generator)) if draws > 1 else 0
+        fields = first + torch.randint(_DRAW, (len(images),), generator=generator)
         pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)[share]
         return self._restored(self.camera(images[share], fields[share], pixel_noise))
 
@@ -166,41 +173,41 @@ def scores(network: nn.Module, task: Task, dataset: ImageDataset, pipeline: Capt
     ]
 
 
-def by_image(values: Tensor, dataset: ImageDataset) -> list[dict]:
+def by_image(values: Mapping[str, Tensor], dataset: ImageDataset) -> list[dict]:
     """Return a row per image: its index in the split, its label, and the value at each field.
 
     Args:
-        values: (F, N).
+        values: (F, N) by name of the set of fields, with which the names of its columns begin.
     """
-    fields = [f"field{k}" for k in range(len(values))]
+    columns = {f"{name}{k}": row.tolist() for name, rows in values.items() for k, row in enumerate(rows)}
     labels = [dataset.classes[label] for label in dataset.labels.tolist()]
     return [
-        {"image": i, "label": label} | dict(zip(fields, by_field, strict=True))
-        for i, (label, by_field) in enumerate(zip(labels, values.T.tolist(), strict=True))
+        {"image": i, "label": label} | {name: column[i] for name, column in columns.items()}
+        for i, label in enumerate(labels)
     ]
 
 
 def measure(
-    classifier: Classifier, dataset: ImageDataset, test: Evaluation, minival: Evaluation, captured: bool
+    classifier: Classifier, dataset: ImageDataset, test: Mapping[str, Evaluation], minival: Evaluation, captured: bool
 ) -> list[dict]:
     """Return the accuracy of a classifier and the PSNR of its images.
 
     Args:
         dataset: test images.
-        test, minival: evaluations of the classifier on test and minival images.
+        test: evaluations of the classifier on test images, by the metric of their accuracy.
+        minival: its evaluation on minival images.
         captured: whether a camera captured the images; without one there is no PSNR.
 
     Returns:
         Rows (field, metric, value): accuracy [%] on test and minival, PSNR [dB] of all images and of the worst 1 %, per
         field; parameters [millions], and `chance`, the accuracy of guessing [%].
     """
-    columns = {
-        "accuracy": 100 * test.correct.double().mean(-1),
-        "minival_accuracy": 100 * minival.correct.double().mean(-1),
-    }
+    evaluations = {**test, "minival_accuracy": minival}
+    columns = {metric: 100 * part.correct.double().mean(-1) for metric, part in evaluations.items()}
     if captured:
-        sorted_psnr = test.psnr_db.double().sort(-1).values
-        columns["psnr_db"] = test.psnr_db.double().mean(-1)
+        psnr_db = test["accuracy"].psnr_db.double()
+        sorted_psnr = psnr_db.sort(-1).values
+        columns["psnr_db"] = psnr_db.mean(-1)
         columns["worst_psnr_db"] = sorted_psnr[:, : math.ceil(_WORST * sorted_psnr.shape[-1])].mean(-1)
     rows: list[dict] = [
         {"field": field, "metric": metric, "value": value}

@@ -27,7 +27,7 @@ def _values(path: Path) -> pandas.Series:
 
     Raises:
         FileError: the file is not a metrics file: it has other columns, a value is not a number, or a metric lacks a
-            field.
+            field before its last one.
     """
     try:
         rows = read_table(path)
@@ -36,9 +36,7 @@ def _values(path: Path) -> pandas.Series:
         raise damaged(path, f"not a table of metrics ({error})") from None
     if rows.empty or values.isna().any():
         raise damaged(path, "a value is missing")
-    by_field = {str(metric): sorted(numbers) for metric, numbers in fields.dropna().groupby(rows["metric"])}
-    count = max(map(len, by_field.values()), default=0)
-    for metric, numbers in by_field.items():
-        if numbers != list(range(count)):
-            raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in numbers)} of {count}")
+    for metric, numbers in fields.dropna().groupby(rows["metric"]):
+        if sorted(numbers) != list(range(len(numbers))):
+            raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in sorted(numbers))}")
     return values.set_axis(pandas.MultiIndex.from_arrays([rows["metric"], fields]))

@@ -1,6 +1,6 @@
 """Confidence intervals by resampling test images and seeds (Efron and Tibshirani 1993, chapters 6 and 13).
 
-A row is one image, the mean over its nine captures; these are not independent and are not resampled.
+A row is one image, the mean over its captures at all fields; these are not independent and are not resampled.
 """
 
 from collections.abc import Sequence

@@ -90,7 +90,7 @@ def panel(title: str, path: Path, psf: Path) -> Panel:
     """Read the panel of a lens from the files of the lens and its PSFs; raises FileError."""
     prescribed, content = prescription.read(path)
     view = view_of(prescribed.lens, content, str(path))
-    return panel_of(title, prescribed.lens, view, psf_files.read(psf).psf, content["figures"])
+    return panel_of(title, prescribed.lens, view, psf_files.read(psf, "nine").psf, content["figures"])
 
 
 def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) -> Panel:

@@ -33,7 +33,12 @@ class Heading(NamedTuple):
 
 
 HEADINGS = {
-    "accuracy": Heading("accuracy", "%", ".1f", "max", meaning="Correct answers on test images, mean over nine fields"),
+    "accuracy": Heading("accuracy", "%", ".1f", "max", meaning="Correct answers on test images, mean over the sensor"),
+    "corner_accuracy": Heading("corner", "%", ".1f", "max", meaning="Accuracy in the corner of the sensor"),
+    "accuracy_at_design_fields": Heading(
+        "at its fields", "%", ".1f", meaning="Accuracy at the fields for which the lens was designed"
+    ),
+    "accuracy_at_nine": Heading("at nine fields", "%", ".1f", meaning="Accuracy at the nine fields of the paper"),
     "zero_shot_accuracy": Heading(
         "zero-shot accuracy", "%", ".1f", "max", meaning="Among all outputs of the network, without fine-tuning"
     ),
@@ -96,6 +101,11 @@ HEADINGS = {
     ),
     "low": Heading("from", "points", "+.1f", meaning="Lower end of the 95 % interval"),
     "high": Heading("to", "points", "+.1f", meaning="Upper end of the 95 % interval"),
+    "difference_at_nine": Heading(
+        "at nine fields", "points", "+.1f", meaning="The same difference at the nine fields of the paper"
+    ),
+    "low_at_nine": Heading("at nine, from", "points", "+.1f"),
+    "high_at_nine": Heading("at nine, to", "points", "+.1f"),
     "p_holm": Heading("p (Holm)", "", ".3f", meaning="p-value, corrected for all rows of the same claim and table"),
     "median": Heading("median", "points", "+.1f", meaning="Median of the differences of the seeds"),
     "above": Heading("seeds above", "", ".0f", meaning="Seeds with a difference above zero, or minus the margin"),

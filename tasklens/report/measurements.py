@@ -14,25 +14,15 @@ from tasklens.runtime.files import damaged, read_table, read_yaml
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.tables import LensKey, MeasuredKey
 
-FIELD = "accuracy_field"  # beginning of the columns of accuracy by field, from 0 on the axis to 8 in the corner
+FIELD = "accuracy_field"  # beginning of the columns of accuracy by field
 
 
 def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
-    """Compute RMS and core radius [um] and energy inside the window, mean over fields, and worst margin of a lens file.
+    """Return means over the sensor of RMS and core radius [um] and energy inside the window, and worst margin.
 
     The worst margin is negative if the lens violates a limit of manufacturing [mm], focal length or distortion.
     """
-    figures = content["figures"]
-
-    def mean(key: str) -> float:
-        return sum(figures[key]) / len(figures[key])
-
-    return {
-        "rms_spot_um": mean("rms_centroid_um"),
-        "core_radius_um": mean("core_radius_um"),
-        "energy_in_window": mean("energy_in_window"),
-        "worst_margin": content["worst_margin"]["value"],
-    }
+    return {**content["means"], "worst_margin": content["worst_margin"]["value"]}
 
 
 @dataclass(frozen=True)
@@ -74,9 +64,14 @@ class Measurements:
         values = accuracy_by_field(self.metrics[MeasuredKey(lens, classifier, seed)])
         return {f"{FIELD}{k}": value for k, value in enumerate(values)}
 
-    def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+    def correct(self, lens: str, classifier: str, seed: int, fields: str = "field") -> pandas.DataFrame:
         """Read predictions: 1 if an image is classified correctly, else 0; a row per image, a column per field."""
-        return predictions.read(self.predictions[MeasuredKey(lens, classifier, seed)])
+        return predictions.read(self.predictions[MeasuredKey(lens, classifier, seed)], fields)
+
+    def has(self, fields: str, keys: Iterable[MeasuredKey]) -> bool:
+        """Return whether all of these were measured at a set of fields."""
+        headings = (self.predictions[key].open(encoding="utf-8").readline().split(",") for key in keys)
+        return all(any(name.startswith(fields) for name in names) for names in headings)
 
     def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
         """Return the loss of the frozen classifier for each minival image, mean over fields."""

@@ -89,7 +89,8 @@ def make(
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
-    grids = (PsfCamera(psf_files.read(path).psf, outside_window=settings.outside_window).psf for path in psfs)
+    stored = (psf_files.read(path, "selection").psf for path in psfs)
+    grids = (PsfCamera(psf, outside_window=settings.outside_window).psf for psf in stored)
     modulations = numpy.concatenate([modulation(grid.double().numpy()) for grid in grids])
     fields = len(modulations) // len(keys)
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together

@@ -9,16 +9,20 @@ from tasklens.runtime.files import FileError, damaged, read_table
 Labelled = pandas.DataFrame | pandas.Series  # with a row per image
 
 
-def read(path: Path) -> pandas.DataFrame:
+def read(path: Path, fields: str = "field") -> pandas.DataFrame:
     """Read predictions: 1 if an image is classified correctly, else 0; a row per (image, label), a column per field.
 
+    Args:
+        fields: name of the set of fields; `field`: those of the grading.
+
     Raises:
-        FileError: the file is not a table of predictions.
+        FileError: the file is not a table of predictions, or has none at these fields.
     """
     try:
         frame = read_table(path, dtype={"label": str}, keep_default_na=False).set_index(["image", "label"])
     except KeyError as error:
         raise damaged(path, f"not a table of predictions ({error})") from error
+    frame = frame.filter(regex=rf"^{fields}\d+$")
     if frame.empty or not frame.isin([0, 1]).all(axis=None):
         raise damaged(path, "expected a row per image, with 0 or 1 for each field")
     return frame

@@ -14,10 +14,9 @@ from scipy.stats import spearmanr, studentized_range
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.io import prescription
 from tasklens.recognition.metrics import mean_metrics
-from tasklens.report import predictions
+from tasklens.report import between_fields, predictions
 from tasklens.report.bootstrap import interval, resampled_means
 from tasklens.report.figures import section_svg
-from tasklens.report.glance import fields_by_angle
 from tasklens.report.page import pictures
 from tasklens.report.publish import publish
 from tasklens.report.tolerance_page import distribution
@@ -30,7 +29,7 @@ _ROUNDING = 1e-9  # of accuracies [%]: resampled means of equal values differ in
 _FIELD = "field_of_view_deg"  # key of a specification
 _SCALE = 5.0  # step of the axis of accuracies on the page [%]
 _NOTE = """\
-Study `{study}`, network {model}{tuned}, {images} photographs, each at nine fields. Intervals are 95 % over the
+Study `{study}`, network {model}{tuned}, {images} photographs, each at {fields} fields. Intervals are 95 % over the
 photographs. "Behind" is the accuracy of the first lens minus that of this one, on the same photographs. Lenses of a
 group cannot be distinguished from the first of the group (paired, by the studentised range, 5 %)."""
 _ZERO_SHOT = " The zero-shot accuracy is among all outputs of the network, the accuracy among those of the classes."
@@ -191,6 +190,7 @@ def make(
     measured = dict(zip((SHARP, *settings.lenses), predicted, strict=True))
     correct = {lens: predictions.read(path) for lens, path in measured.items()}
     sharp = float(100 * correct.pop(SHARP).to_numpy().mean())
+    at_nine = {lens: predictions.read(measured[lens], "nine") for lens in settings.lenses}
     ranks = ranked(correct)
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
@@ -199,17 +199,22 @@ def make(
     rows = []
     for rank in ranks:
         content = contents[rank.lens][1]
-        columns = row(rank, facts.titles.get(rank.lens, rank.lens), content["figures"], content["spec"][_FIELD])
+        title, f_number = facts.titles.get(rank.lens, rank.lens), content["figures"]["f_number"]
+        rms_um = content["means"]["rms_spot_um"]
+        columns = row(rank, title, at_nine[rank.lens], f_number, content["spec"][_FIELD], rms_um)
         if "zero_shot_accuracy" in means[rank.lens]:
             columns["zero_shot_accuracy"] = means[rank.lens]["zero_shot_accuracy"]
         columns |= {"mtf_mean": facts.mtf[rank.lens]} if rank.lens in facts.mtf else {}
         rows.append(columns | losses.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
-    count = len(next(iter(correct.values())))
-    note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count)
+    count, fields = next(iter(correct.values())).shape
+    note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count, fields=fields)
     answer = sentences(ranks, facts.titles)
     answer += [text for text in [sieve(ranks, facts.mtf, settings.sieved)] if text is not None]
+    names = {lens: facts.titles.get(lens, lens) for lens in settings.lenses}
+    titled = ({name: answers[lens] for lens, name in names.items()} for answers in (correct, at_nine))
+    answer += between_fields.warnings(*titled)
     left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
     note += _ZERO_SHOT if "zero_shot_accuracy" in table else ""
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
@@ -223,9 +228,11 @@ def make(
     write_text(page, render(ranks, rows, drawings, answer, **words))
 
 
-def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: float) -> dict[str, Any]:
-    """Return the row of a lens in the table."""
-    fields = fields_by_angle(figures)
+def row(
+    rank: Rank, title: str, at_nine: pandas.DataFrame, f_number: float, field_of_view_deg: float, rms_spot_um: float
+) -> dict[str, Any]:
+    """Return the row of a lens in the table; `at_nine` are its answers at the paper's nine fields."""
+    by_field = predictions.accuracy_by_field(at_nine)
     return {
         "lens": title,
         "group": rank.group,
@@ -235,11 +242,12 @@ def row(rank: Rank, title: str, figures: Mapping[str, Any], field_of_view_deg: f
         "behind": rank.behind,
         "behind_low": rank.behind_low,
         "behind_high": rank.behind_high,
-        "accuracy_axis": rank.by_field[fields[0]],
-        "accuracy_corner": rank.by_field[fields[-1]],
-        "f_number": figures["f_number"],
+        "accuracy_at_nine": float(numpy.mean(by_field)),
+        "accuracy_axis": by_field[0],
+        "accuracy_corner": by_field[-1],
+        "f_number": f_number,
         "field_of_view_deg": field_of_view_deg,
-        "rms_spot_um": float(numpy.mean(figures["rms_centroid_um"])),
+        "rms_spot_um": rms_spot_um,
     }
 
 

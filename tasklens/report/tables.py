@@ -40,6 +40,7 @@ _COLUMNS = {
     "table4": ["psnr_db", "worst_psnr_db", "accuracy"],
 }
 _ZERO_SHOT = "zero_shot_accuracy"  # in tables 1 and 2, if a network has more outputs than classes
+_ELSEWHERE = ("corner_accuracy", "accuracy_at_design_fields", "accuracy_at_nine")  # if they were measured
 _TITLES = {
     "table1": "Classification accuracy, image quality and spot size of each lens",
     "table2": "Accuracy with other classifiers",
@@ -91,10 +92,13 @@ def _frozen_values(
 
 def _columns(contents: TableContents, rows: pandas.DataFrame) -> list[str]:
     """Return the columns of values in a table."""
-    columns = list(_COLUMNS[contents.name])
-    if contents.name in ("table1", "table2") and _ZERO_SHOT in rows:
-        columns.insert(columns.index("accuracy") + 1, _ZERO_SHOT)
-    return columns
+    columns, further = list(_COLUMNS[contents.name]), []
+    if contents.name in ("table1", "table2"):
+        further.append(_ZERO_SHOT)
+    if contents.name in ("table1", "table3"):
+        further += _ELSEWHERE
+    place = columns.index("accuracy") + 1
+    return [*columns[:place], *(name for name in further if name in rows), *columns[place:]]
 
 
 def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.DataFrame) -> pandas.DataFrame:

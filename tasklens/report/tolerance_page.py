@@ -51,7 +51,7 @@ def markdown(
     failed = f" {stats['failed_lenses']} of them let no light through to some field." if stats["failed_lenses"] else ""
     summary = (
         f"{stats['built']} lenses were built in simulation to {grade.replace('_', ' ')}, focused by their MTF, and "
-        f"measured by the classifier of the design on {images} images at nine fields. The design has "
+        f"measured by the classifier of the design on {images} images over the sensor. The design has "
         f"{stats['accuracy_design']:.1f} %, they have {stats['accuracy']:.1f} % (95 of 100 more than "
         f"{stats['accuracy_5th']:.1f} %). {stats['yield_1']:.0f} % lose at most one point, {stats['yield_3']:.0f} % at "
         f"most three.{failed} The RMS spot is {stats['rms_spot_um_design']:.1f} um in the design and "

@@ -17,7 +17,7 @@ from tasklens.study.tables import LensKey
 
 _NOTE = """\
 Study `{study}`, {grade}: {built} built lenses of each design and seed, focused by their MTF and measured by the
-classifier of the design on the same test images (at most {images}) at nine fields. RMS spot and MTF at a quarter of
+classifier of the design on the same test images (at most {images}) over the sensor. RMS spot and MTF at a quarter of
 the Nyquist frequency are medians. A failed lens lets no light through to some field."""
 
 _QUESTION = """\

@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy
 import pandas
 
-from tasklens.report import answers_file, bootstrap, predictions
+from tasklens.report import answers_file, between_fields, bootstrap, predictions
 from tasklens.report.failure import LEAST_ENERGY, least_accuracy
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish
@@ -33,6 +33,7 @@ COLUMNS = [
     *("table", "claim", "lens", "baseline", "classifier"),
     *("difference", "low", "high", "p_holm", "median", "above", "seeds", "verdict", "reason"),
 ]
+AT_NINE = ["difference_at_nine", "low_at_nine", "high_at_nine"]  # further columns, if all were measured there
 
 _NOTE = """\
 Study `{study}`. Differences in points of accuracy with their 95 % intervals over test images{seeds}. A claim holds if
@@ -65,25 +66,28 @@ def verdict(
     return (HOLDS, f"above {bound}") if above else (FAILS, f"below {bound}")
 
 
-def accuracy_by_image(lenses: Mapping[int, str], classifier: str, measurements: Measurements) -> pandas.DataFrame:
+def accuracy_by_image(
+    lenses: Mapping[int, str], classifier: str, measurements: Measurements, fields: str = "field"
+) -> pandas.DataFrame:
     """Compute the accuracy [%] of each test image, mean over fields: a row per image, a column per seed.
 
     Args:
         lenses: names of lenses by seed.
+        fields: name of the set of fields.
 
     Raises:
         FileError: the seeds have different images.
     """
     columns: dict[int, pandas.Series] = {}
     for seed, lens in lenses.items():
-        columns[seed] = 100 * measurements.correct(lens, classifier, seed).mean(axis=1)
+        columns[seed] = 100 * measurements.correct(lens, classifier, seed, fields).mean(axis=1)
         where = f"{lens} with {classifier}, seed {seed}"
         predictions.same_images(next(iter(columns.values())), columns[seed], where)
     return pandas.DataFrame(columns)
 
 
 def advantage(
-    claim: Claim, baselines: Mapping[int, str], measurements: Measurements
+    claim: Claim, baselines: Mapping[int, str], measurements: Measurements, fields: str = "field"
 ) -> tuple[pandas.DataFrame, numpy.ndarray]:
     """Compute the advantage of a claim [points], and the lower bounds of its means over images.
 
@@ -93,6 +97,7 @@ def advantage(
 
     Args:
         baselines: strongest baseline by seed.
+        fields: name of the set of fields.
 
     Returns:
         A row per image and a column per seed; and (S,) lower bounds of the means over images.
@@ -101,21 +106,21 @@ def advantage(
         FileError: the files have different images.
     """
     seeds = list(baselines)
-    own = accuracy_by_image(dict.fromkeys(seeds, claim.lens), claim.classifier, measurements)
+    own = accuracy_by_image(dict.fromkeys(seeds, claim.lens), claim.classifier, measurements, fields)
     if not claim.baselines:  # a claim about failure
         sharp = accuracy_by_image(dict.fromkeys(seeds, SHARP), claim.reference, measurements)
         chance = measurements.values(SHARP, claim.reference, seeds[0])["chance"]
         inside = [measurements.lens_values(claim.lens, seed)["energy_in_window"] for seed in seeds]
         other, own, least = own, least_accuracy(sharp, chance), 100 * LEAST_ENERGY - 100 * numpy.array(inside)
     else:
-        other = accuracy_by_image(baselines, claim.classifier, measurements)
+        other = accuracy_by_image(baselines, claim.classifier, measurements, fields)
         least = numpy.full(len(seeds), -numpy.inf)
     predictions.same_images(own, other, f"{claim.lens} and {baselines[seeds[0]] or SHARP}")
     return own - other, least
 
 
 def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
-    """Return a row per claim, with the columns `COLUMNS`."""
+    """Return a row per claim, with the columns `COLUMNS`, and `AT_NINE` if all lenses were measured there."""
     baselines = [
         {seed: measurements.strongest_baseline(claim, seed) for seed in claims.seeds} for claim in claims.claims
     ]
@@ -144,7 +149,20 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     )
     numbers = zip(*(table[c].tolist() for c in ("difference", "low", "high", "p_holm")), claims.claims, strict=True)
     table[["verdict", "reason"]] = [verdict(d, low, high, p, seeds, claim.margin) for d, low, high, p, claim in numbers]
+    captured = [key for key in claims.measured_keys if key.lens != SHARP]
+    if measurements.has("nine", captured):
+        pairs = zip(claims.claims, baselines, strict=True)
+        table[AT_NINE] = [_at_nine(claim, baseline, measurements) for claim, baseline in pairs]
     return table
+
+
+def _at_nine(claim: Claim, baselines: Mapping[int, str], measurements: Measurements) -> tuple[float, float, float]:
+    """Return the difference of a claim at the paper's nine fields [points], and its interval."""
+    if not claim.baselines:
+        return (math.nan,) * 3
+    values = advantage(claim, baselines, measurements, "nine")[0].to_numpy()
+    means = bootstrap.resampled_over_seeds(bootstrap.resampled_means(values), values.mean(0))
+    return float(values.mean()), *bootstrap.interval(means)
 
 
 def compare(
@@ -161,6 +179,18 @@ def _baseline_text(baselines: Iterable[str]) -> str:
     if len(counts) == 1:
         return next(iter(counts))
     return ", ".join(f"{name} ({count})" for name, count in counts.most_common())
+
+
+def warnings_of(claims: Claims, measurements: Measurements) -> list[str]:
+    """Return a paragraph for each lens that is more accurate at the fields of its design than between them."""
+    between, at_fields = {}, {}
+    for key in claims.measured_keys:
+        for fields in ("design", "nine") if key.lens != SHARP else ():
+            if measurements.has(fields, [key]):
+                name = f"{key.lens}, {key.measured_name}, seed {key.seed}"
+                between[name], at_fields[name] = measurements.correct(*key), measurements.correct(*key, fields)
+                break
+    return [f"\n{sentence}" for sentence in between_fields.warnings(between, at_fields)]
 
 
 def seeds_phrase(claims: Claims) -> str:
@@ -185,4 +215,5 @@ def make(
     words = f', for "at least as accurate" above -{margin:g} points' if margin else ""
     note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
+    note = "\n".join([note, *warnings_of(claims, measurements)])
     publish(csv, md, "Verdicts on the paper's claims", rows, note)

@@ -6,6 +6,7 @@ from typing import Annotated, Any
 from pydantic import Field, TypeAdapter
 
 from tasklens.study.design_settings import DesignSettings
+from tasklens.study.fields import FieldSet
 from tasklens.study.layers import merged_settings
 from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.lens_entries import LensEntry
@@ -21,7 +22,7 @@ class Ablation(Frozen):
     Attributes:
         elements, design: names of the elements and of the design.
         variants: by name, the keys of the design that differ; `capture` holds keys of the study's capture that differ
-            both in the design and in the measurement of the variant.
+            both in the design and in the measurement of the variant, and `fields` the fields of its losses.
     """
 
     elements: Name
@@ -45,7 +46,7 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
             choice of `colour`.
     """
     changes = dict(ablation.variants[variant])
-    other = changes.pop("capture", None)
+    other, fields = changes.pop("capture", None), changes.pop("fields", None)
     if not isinstance(other, dict | None):
         raise ValueError(f"ablations.{name}.variants.{variant}.capture: expected keys and values, got {other!r}")
     if other is not None:
@@ -61,22 +62,25 @@ def variant_entry(base: LensEntry, capture: CaptureSettings, name: str, ablation
         design_name=design_name,
         design=design,
         capture=None if other is None else CaptureSettings.model_validate(merged_settings(capture.model_dump(), other)),
+        fields=fields,
     )
 
 
-def check_differences(entries: Mapping[str, LensEntry], base: Any, capture: CaptureSettings, where: str) -> None:
+def check_differences(
+    entries: Mapping[str, LensEntry], base: Any, capture: CaptureSettings, fields: FieldSet, where: str
+) -> None:
     """Check that variants differ from the design and from each other.
 
     Args:
         entries: lenses of the variants, by name.
-        base, capture: settings of the unchanged design and captures.
+        base, capture, fields: settings of the unchanged design, its captures, and the fields of its losses.
 
     Raises:
         ValueError: a variant changes nothing, or equals another one; the message begins with `where`.
     """
-    seen = [((base, capture), "the design itself")]
+    seen = [((base, capture, fields), "the design itself")]
     for name, entry in entries.items():
-        values = entry.design, entry.capture or capture
+        values = entry.design, entry.capture or capture, entry.fields or fields
         if same := [words for other, words in seen if other == values]:
             raise ValueError(f"{where}.{name}: has the same values as {same[0]}; change one, or remove it")
         seen.append((values, f"the variant {name}"))

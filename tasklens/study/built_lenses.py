@@ -1,5 +1,6 @@
 """Settings of lenses built in simulation, and contents of their table; no torch here."""
 
+from tasklens.study.fields import Points
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, Spec
 from tasklens.study.study import Study, StudyError
 from tasklens.study.tables import SeededLenses, chosen_lenses
@@ -7,11 +8,12 @@ from tasklens.study.tolerance_settings import ToleranceSettings
 
 
 class ProductionJob(Frozen):
-    """Lenses of a design, built in simulation with manufacturing errors."""
+    """Lenses of a design, built in simulation with manufacturing errors; `grading` are the fields of their images."""
 
     lens: str
     seed: int
     spec: Spec
+    grading: Points
     capture: CaptureSettings
     classifier: ClassifierSettings
     tolerances: ToleranceSettings
@@ -24,6 +26,7 @@ class ProductionJob(Frozen):
             lens=lens,
             seed=seed,
             spec=study.lens_spec(lens),
+            grading=study.fields.grading_points,
             capture=study.capture_of(lens),
             classifier=study.network(study.supervisor),
             tolerances=study.tolerances.model_copy(update={"designs": None}),

@@ -4,7 +4,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from tasklens.study import ablations, feasibility
+from tasklens.study import ablations, feasibility, fields
 from tasklens.study.design_settings import (
     DesignSettings,
     GradientDesignSettings,
@@ -31,6 +31,7 @@ def check(study: Study) -> None:
         _check_references(study, f"designs.{name}", design)
     for name in study.ablations:
         _check_ablation(study, name)
+    _check_fields(study)
     _check_networks(study)
     _check_lenses(study)
 
@@ -57,6 +58,23 @@ def _check_names(study: Study) -> None:
     for name in study.restored or ():
         if name not in elements:
             raise ValueError(f"restored: {name!r} is not one of {', '.join(elements)}")
+
+
+def _check_fields(study: Study) -> None:
+    """Check that sets of fields reach from axis to corner, and that lenses are graded where nothing was chosen."""
+    grading = study.fields.grading_points
+    fields.check_set(grading, study.spec.aspect, "fields.grading")
+    seen = {"fields.design": study.fields.design_points}
+    for where, lens in lenses_with_keys(study):
+        if lens.fields is not None:
+            seen[f"{where}.fields"] = study.design_points(lens.name)
+    for where, points in seen.items():
+        if points is not None:
+            fields.check_set(points, study.spec.aspect, where)
+            if study.fields.grading != "paper":
+                fields.check_unseen(grading, points, where)
+    if study.fields.grading != "paper":
+        fields.check_unseen(grading, fields.SELECTION, "the choice among lenses")
 
 
 def _check_references(study: Study, where: str, design: DesignSettings | ImportedLens) -> None:
@@ -100,7 +118,7 @@ def _check_ablation(study: Study, name: str) -> None:
             )
         _check_references(study, f"ablations.{name}.variants.{variant}", lenses[variant].design)
     base = study.lens(f"{ablation.elements}-{ablation.design}").design
-    ablations.check_differences(lenses, base, study.capture, f"ablations.{name}.variants")
+    ablations.check_differences(lenses, base, study.capture, study.fields.design, f"ablations.{name}.variants")
 
 
 def _check_networks(study: Study) -> None:

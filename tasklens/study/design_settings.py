@@ -66,7 +66,7 @@ class DescentSettings(Frozen):
         description="Learning rate of a copy of the network, trained with the lens; null: the network is frozen.",
     )
     batch_size: Batch | None = Field(
-        None, description="Images per step, each at all nine fields; null: `batch_size` of the design."
+        None, description="Images per step, each at all fields of the step; null: `batch_size` of the design."
     )
     size: Count | None = Field(None, description="Side of the resized images [pixels]; null: not resized.")
     corner_weight: Positive = Field(
@@ -163,7 +163,7 @@ class GradientDesignSettings(Frozen):
         "by the minival accuracy of the worst field after fine-tuning.",
     )
     descents: tuple[DescentSettings, ...] = Field(min_length=1, description="Descents, one after another.")
-    batch_size: Batch = Field(64, description="Images per step, each at all nine fields.")
+    batch_size: Batch = Field(64, description="Images per step, each at all fields of the step.")
     rays: Rays = Field(256, description="Rays per field and colour, sampled anew at each step.")
     augment: bool = Field(True, description="TrivialAugment on the sharp images.")
     micro_batch: Batch = Field(

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tasklens.study import names
+from tasklens.study.fields import Points
 from tasklens.study.names import SHARP
 from tasklens.study.restoration_settings import RestorationSettings
 from tasklens.study.settings import (
@@ -59,16 +60,31 @@ class ImagesJob(Frozen):
         return cls(images=study.images, source=source(study.images.folder))
 
 
-class DiffractionJob(Frozen):
-    """PSFs of a lens with diffraction."""
+class PsfJob(Frozen):
+    """PSFs of a lens.
+
+    Attributes:
+        diffraction: whether they include diffraction.
+        sets: fields by set, fractions of the sensor; None: drawn uniformly in area.
+        seed: seed of the fields that are drawn.
+    """
 
     spec: Spec
     rays: int
+    diffraction: bool
+    sets: dict[str, Points | None]
+    seed: int
 
     @classmethod
-    def of(cls, study: Study, lens: str) -> "DiffractionJob":
+    def of(cls, study: Study, lens: str, seed: int) -> "PsfJob":
         """Return the settings of the job."""
-        return cls(spec=study.lens_spec(lens), rays=study.evaluation_rays)
+        return cls(
+            spec=study.lens_spec(lens),
+            rays=study.evaluation_rays,
+            diffraction=study.capture_of(lens).diffraction,
+            sets=study.fields.sets(study.design_points(lens)),
+            seed=seed,
+        )
 
 
 class RestorationJob(Frozen):
@@ -107,8 +123,14 @@ def lens_columns(study: Study, lens: str) -> dict[str, Any]:
 
 
 class FineTuningJob(CapturePipelineSettings):
-    """Fine-tuning of a classifier on captures, and its measurement; `columns` identify its rows in tables."""
+    """Fine-tuning of a classifier on captures, and its measurement.
 
+    Attributes:
+        graded: sets of fields of the test images, by the metric of their accuracy.
+        columns: identify its rows in tables.
+    """
+
+    graded: dict[str, str]
     classifier: ClassifierSettings
     training: TrainingSettings
     columns: dict[str, Any]
@@ -121,6 +143,7 @@ class FineTuningJob(CapturePipelineSettings):
         keys = {"classifier": name, "restored": restored, "seed": seed}
         return cls(
             **_pipeline(study, lens, restored),
+            graded={"accuracy": "grading"} if lens == SHARP else study.fields.graded(study.design_points(lens)),
             classifier=study.classifier(name),
             training=study.fine_tuning,
             columns=lens_columns(study, lens) | keys,

@@ -12,6 +12,7 @@ from tasklens.study.design_settings import (
     DesignSettings,
     GradientDesignSettings,
 )
+from tasklens.study.fields import FieldSet, Points
 from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Spec
 from tasklens.study.task_settings import TaskSettings
@@ -64,6 +65,9 @@ class LensEntry(Frozen):
     design: DesignSettings | ImportedLens = Field(description="Design method, or file.")
     capture: CaptureSettings | None = Field(
         None, description="Changed capture settings of an ablation; null: those of the study."
+    )
+    fields: FieldSet | None = Field(
+        None, description="Changed fields of the losses, of an ablation; null: those of the study."
     )
 
     @property
@@ -135,6 +139,8 @@ class LensDesign(Frozen):
         task, network: name and settings of another task, for designs supervised by its network.
         starts: lenses of which the most accurate is the start.
         candidates: lenses of which the best by the criterion is the start.
+        fields: fields of the losses, fractions of the sensor; None: drawn anew in each step.
+        averaged: fields over which figures are averaged, fractions of the sensor.
         rays: rays per field and colour for the figures.
         seed: seed of all random numbers.
     """
@@ -148,5 +154,7 @@ class LensDesign(Frozen):
     network: TaskSettings | None
     starts: tuple[str, ...]
     candidates: tuple[str, ...]
+    fields: Points | None
+    averaged: Points
     rays: int
     seed: int

@@ -8,6 +8,7 @@ from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claim, Claims, PaperClaim
 from tasklens.study.descriptions import description
+from tasklens.study.fields import Points, radii
 from tasklens.study.loading import dump
 from tasklens.study.restoration_settings import RestorationSettings
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, Spec
@@ -77,16 +78,18 @@ class ComparisonJob(Frozen):
 
 
 class FramesJob(Frozen):
-    """A figure of whole frames through these lenses."""
+    """A figure of whole frames through these lenses; `field` is a field of the grading, halfway to the corner."""
 
     comparison: ComparisonJob
     captures: dict[str, CaptureSettings]
+    field: int
 
     @classmethod
     def of(cls, study: Study, elements: str, seed: int) -> "FramesJob":
         """Return the settings of the job."""
         comparison = ComparisonJob.of(study, elements, seed)
-        return cls(comparison=comparison, captures={lens: study.capture_of(lens) for lens in comparison.lenses})
+        captures = {lens: study.capture_of(lens) for lens in comparison.lenses}
+        return cls(comparison=comparison, captures=captures, field=study.fields.halfway)
 
 
 class CapturesJob(Frozen):
@@ -155,6 +158,7 @@ class TailsJob(SeededLenses):
 
     study: str
     specs: dict[str, Spec]
+    fields: Points
     rays: int
 
     @classmethod
@@ -162,7 +166,14 @@ class TailsJob(SeededLenses):
         """Return the settings of the job."""
         lenses = paper_tables.table_lenses(study)
         specs = {lens: study.lens_spec(lens) for lens in lenses}
-        return cls(study=study.name, lenses=lenses, seeds=study.seeds, specs=specs, rays=study.evaluation_rays)
+        return cls(
+            study=study.name,
+            lenses=lenses,
+            seeds=study.seeds,
+            specs=specs,
+            fields=study.fields.grading_points,
+            rays=study.evaluation_rays,
+        )
 
 
 class RegimesJob(Frozen):
@@ -212,6 +223,8 @@ class ReportJob(Frozen):
         paper_claims: claims as the paper makes them, and the stronger one about image quality.
         supervised: names of the lenses that have an optimum.
         restored: names of the lenses with a restoration network.
+        radii: distances of the fields of the grading from the axis, in units of that of the corner.
+        design_radii: the same of the fields that designs see; empty if they are drawn.
         configuration: the resolved study as YAML.
     """
 
@@ -228,6 +241,8 @@ class ReportJob(Frozen):
     paper_claims: tuple[PaperClaim, ...]
     supervised: tuple[str, ...]
     restored: tuple[str, ...]
+    radii: tuple[float, ...]
+    design_radii: tuple[float, ...]
     configuration: str
 
     @classmethod
@@ -249,6 +264,8 @@ class ReportJob(Frozen):
             paper_claims=paper_claims.PAPER_CLAIMS,
             supervised=contents.supervised,
             restored=tuple(lens for lens, name in contents.measured if names.split(name)[1]),
+            radii=radii(study.fields.grading_points, study.spec.aspect),
+            design_radii=radii(study.fields.design_points or (), study.spec.aspect),
             configuration=dump(study),
         )
 

@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     computed_field,
     field_validator,
@@ -16,6 +14,8 @@ from pydantic import (
 
 from tasklens.runtime.errors import InputError
 from tasklens.study import user_code
+from tasklens.study.fields import PAPER
+from tasklens.study.frozen import Frozen
 from tasklens.study.quantities import (
     Angle,
     Batch,
@@ -30,12 +30,6 @@ from tasklens.study.quantities import (
     Small,
     Whole,
 )
-
-
-class Frozen(BaseModel):
-    """Base class of all settings: immutable, unknown keys are errors."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class Spec(Frozen):
@@ -92,7 +86,7 @@ class Spec(Frozen):
         """Nine fields f tan(theta) [mm]: {0, 1/2, 1} x {0, 1/2, 1} of the half width and half height of the sensor."""
         unit = self.diagonal_mm / 2 / math.hypot(*self.aspect)
         width, height = (unit * side for side in self.aspect)
-        return tuple((u * width, v * height) for v in (0, 0.5, 1) for u in (0, 0.5, 1))
+        return tuple((u * width, v * height) for u, v in PAPER)
 
 
 class Constraints(Frozen):

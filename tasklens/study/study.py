@@ -16,6 +16,7 @@ from tasklens.study.design_settings import (
     GradientDesignSettings,
     LeastSquaresSettings,
 )
+from tasklens.study.fields import FieldSettings, Points, points
 from tasklens.study.lens_entries import ImportedLens, LensEntry
 from tasklens.study.messages import in_words
 from tasklens.study.quantities import Name, Rays, Seed, StudyName
@@ -62,6 +63,9 @@ class Study(Frozen):
     )
     constraints: Constraints = Field(Constraints(), description="Limits of every design.")
     capture: CaptureSettings = Field(CaptureSettings(), description="Settings of captures.")
+    fields: FieldSettings = Field(
+        FieldSettings(), description="Fields that designs see and lenses are graded at; paper: its nine for both."
+    )
     evaluation_rays: Rays = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
     elements: dict[Name, tuple[str, ...]] = Field(description="Plastics from front to back, by name.")
     materials: dict[str, Material] = Field(
@@ -156,6 +160,10 @@ class Study(Frozen):
     def capture_of(self, lens: str) -> CaptureSettings:
         """Return the capture settings of a lens: `capture`, unless an ablation changes it; raises StudyError."""
         return self.lens(lens).capture or self.capture
+
+    def design_points(self, lens: str) -> Points | None:
+        """Return the fields of the losses of a design, unless an ablation changes them; None if they are drawn."""
+        return points(self.lens(lens).fields or self.fields.design)
 
     @property
     def lenses(self) -> dict[str, LensEntry]:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from tasklens.study import names
 from tasklens.study.design_settings import GradientDesignSettings
+from tasklens.study.fields import GRADING, PAPER
 from tasklens.study.lens_entries import LensDesign
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
@@ -124,7 +125,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
     """Return the part of a study that the design of a lens may read; raises StudyError."""
     entry = study.lens(lens)
     return LensDesign(
-        entry=entry.model_copy(update={"capture": None}),  # given by `capture` below
+        entry=entry.model_copy(update={"capture": None, "fields": None}),  # given by `capture` and `fields` below
         spec=study.lens_spec(lens),
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.reads_images else None,
@@ -133,6 +134,8 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         network=None if entry.other_task is None else study.task_network(entry.other_task),
         starts=starts(study, lens),
         candidates=candidates(study, lens),
+        fields=study.design_points(lens) if entry.descents else None,
+        averaged=PAPER if study.fields.grading == "paper" else GRADING,
         rays=study.evaluation_rays,
         seed=seed,
     )

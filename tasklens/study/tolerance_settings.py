@@ -105,7 +105,7 @@ class ToleranceSettings(Frozen):
     )
     lenses: Annotated[Count, Field(ge=10, le=10**6)] = Field(200, description="Number of lenses built per design.")
     images: Annotated[Count, Field(ge=10)] = Field(
-        100, description="Number of test images, each at all nine fields, that measure a built lens."
+        100, description="Number of test images, each at all fields of the grading, that measure a built lens."
     )
     designs: tuple[str, ...] | None = Field(
         None,

@@ -1,8 +1,8 @@
-"""Lenses and their point spread functions."""
+"""Lenses, and their point spread functions (PSFs)."""
 
 
 rule design:
-    """Design a lens, or import it; write its prescription, figures, history and PSFs."""
+    """Design a lens, or import it; write its prescription, figures and history."""
     input:
         train=design_images,
         weights=design_weights,
@@ -13,7 +13,6 @@ rule design:
     output:
         lens="results/{study}/lenses/{lens}/seed{seed}/lens.yaml",
         history="results/{study}/lenses/{lens}/seed{seed}/history.csv",
-        psf="results/{study}/lenses/{lens}/seed{seed}/psf.safetensors",
     log:
         "results/{study}/logs/design/{lens}-seed{seed}.log",
     benchmark:
@@ -28,20 +27,21 @@ rule design:
         "../scripts/job.py"
 
 
-rule diffraction:
-    """Compute the PSFs of a lens with diffraction."""
+rule psfs:
+    """Compute the PSFs of a lens at the fields where networks are trained, lenses chosen, and lenses graded."""
     input:
         lens=rules.design.output.lens,
     output:
-        psf="results/{study}/lenses/{lens}/seed{seed}/psf_diffraction.safetensors",
+        psf="results/{study}/lenses/{lens}/seed{seed}/psf.safetensors",
     log:
-        "results/{study}/logs/diffraction/{lens}-seed{seed}.log",
+        "results/{study}/logs/psfs/{lens}-seed{seed}.log",
     benchmark:
-        "results/{study}/benchmarks/diffraction/{lens}-seed{seed}.tsv"
+        "results/{study}/benchmarks/psfs/{lens}-seed{seed}.tsv"
+    priority: early(0.5)
     resources:
-        **needs("diffraction"),
+        **needs("psfs"),
     params:
-        **call("tasklens.jobs.diffraction.run"),
-        settings=settings(job_settings.DiffractionJob.of),
+        **call("tasklens.jobs.psfs.run"),
+        settings=settings(job_settings.PsfJob.of),
     script:
         "../scripts/job.py"

@@ -43,13 +43,8 @@ def start_metrics(wildcards):
 
 
 def psf_files(study, keys):
-    """Return the PSFs of lenses, with diffraction if captures have it; none for sharp images."""
-    files = []
-    for key in keys:
-        if key.lens != names.SHARP:
-            rule_of_psf = rules.diffraction if study.capture_of(key.lens).diffraction else rules.design
-            files += paths_of(rule_of_psf.output.psf, study, [key])
-    return files
+    """Return the PSFs of lenses; none for sharp images."""
+    return paths_of(rules.psfs.output.psf, study, [key for key in keys if key.lens != names.SHARP])
 
 
 def psf(wildcards):

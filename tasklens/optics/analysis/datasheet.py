@@ -115,6 +115,17 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
     return _of_the_lens(lens, view) | {"rays": rays} | _by_field(lens, view, rays)
 
 
+def means(lens: Lens, view: View, rays: int) -> dict[str, float]:
+    """Compute means over the fields: RMS about the centroid and core radius [um], and energy inside the window."""
+    by_field = _spots(lens.detached(), view, rays)
+    names = {
+        "rms_spot_um": "rms_centroid_um",
+        "core_radius_um": "core_radius_um",
+        "energy_in_window": "energy_in_window",
+    }
+    return {name: float(by_field[figure].mean()) for name, figure in names.items()}
+
+
 def _of_the_lens(lens: Lens, view: View) -> dict:
     first_order = paraxial(lens, view.reference_um)
     f_number = float(first_order.f_number)
@@ -151,34 +162,43 @@ def _nyquist(view: View) -> float:
     return 1e3 / (2 * view.pixel_pitch_um)
 
 
-def _by_field(lens: Lens, view: View, rays: int) -> dict:
-    pupil = sobol_disc(rays, seed=0)
-    traced, chief_ray = trace_fields(lens, view, pupil), chief_rays(lens, view)
-    middle, chief = centroid(traced), chief_points(lens, view)  # where windows are, also if apertures stop the ray
+def _spots(lens: Lens, view: View, rays: int) -> dict[str, torch.Tensor]:
+    """Compute the figures of the spots of each field (F,)."""
+    traced, lost = trace_fields(lens, view, sobol_disc(rays, seed=0)), ~chief_rays(lens, view).valid[:, 0, 0]
+    chief = chief_points(lens, view)  # where windows are, also if apertures stop the ray
     offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
     inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch_um / 2e3)
+    about_chief = {
+        "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
+        "core_radius_um": 1e3 * encircled_energy_radius(traced, chief, 0.5),
+        "radius_80_um": 1e3 * encircled_energy_radius(traced, chief, 0.8),
+        "distortion_percent": 100 * distortion(view.fields * chief_scale(lens, view), chief),
+    }
+    return {
+        "valid_fraction": traced.valid.double().mean((1, 2)),
+        "energy_in_window": inside.sum((1, 2)).double() / passing(traced),
+        "rms_centroid_um": 1e3 * rms_spot_radius(traced, centroid(traced)),
+    } | {name: torch.where(lost, torch.nan, values) for name, values in about_chief.items()}
+
+
+def _by_field(lens: Lens, view: View, rays: int) -> dict:
+    pupil = sobol_disc(rays, seed=0)
+    traced, spots = trace_fields(lens, view, pupil), _spots(lens, view, rays)
     quarter_and_half = (_nyquist(view) / 4, _nyquist(view) / 2)
     mtf_tangential, mtf_sagittal = geometric_mtf(traced, view.directions, quarter_and_half)
     focus_tangential, focus_sagittal = field_curvature(lens, view)
     columns = {
         "angle_deg": torch.rad2deg(torch.atan(view.radii / view.efl)),
-        "valid_fraction": traced.valid.double().mean((1, 2)),
-        "energy_in_window": inside.sum((1, 2)).double() / passing(traced),
-        "rms_centroid_um": 1e3 * rms_spot_radius(traced, middle),
-        "rms_chief_ray_um": 1e3 * rms_spot_radius(traced, chief),
+        **{name: spots[name] for name in ("valid_fraction", "energy_in_window", "rms_centroid_um", "rms_chief_ray_um")},
         "rms_wavefront_waves": rms_wavefront_error(wavefront(lens, view.in_reference(), pupil).opd[:, 0], pupil),
-        "core_radius_um": 1e3 * encircled_energy_radius(traced, chief, 0.5),
-        "radius_80_um": 1e3 * encircled_energy_radius(traced, chief, 0.8),
+        **{name: spots[name] for name in ("core_radius_um", "radius_80_um")},
         "mtf_tangential_quarter_nyquist": mtf_tangential[:, 0],
         "mtf_sagittal_quarter_nyquist": mtf_sagittal[:, 0],
         "mtf_tangential_half_nyquist": mtf_tangential[:, 1],
         "mtf_sagittal_half_nyquist": mtf_sagittal[:, 1],
-        "distortion_percent": 100 * distortion(view.fields * chief_scale(lens, view), chief),
+        "distortion_percent": spots["distortion_percent"],
         "focus_tangential_um": 1e3 * focus_tangential,
         "focus_sagittal_um": 1e3 * focus_sagittal,
         "relative_illumination": relative_illumination(lens, view),
     }
-    about_chief = ("rms_chief_ray_um", "core_radius_um", "radius_80_um", "distortion_percent")
-    lost = ~chief_ray.valid[:, 0, 0]
-    columns |= {name: torch.where(lost, torch.nan, columns[name]) for name in about_chief}
     return {name: values.tolist() for name, values in columns.items()}

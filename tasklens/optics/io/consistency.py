@@ -13,7 +13,13 @@ from tasklens.runtime.files import FileError, number, positive
 from tasklens.study.messages import suggestion
 from tasklens.study.settings import Spec
 
-COMPUTED = ("figures", "margins", "worst_margin", "local_optimum")  # keys of a lens file for its own specification
+COMPUTED = (
+    "figures",
+    "means",
+    "margins",
+    "worst_margin",
+    "local_optimum",
+)  # keys of a lens file for its own specification
 _KEYS = (*prescription.KEYS, "spec", "origin", "digest", *COMPUTED)
 _SPEC = (*Spec.model_fields, *Spec.model_computed_fields)
 _SIMILAR = 0.8  # of a misspelled key

@@ -138,7 +138,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         ],
         "drawn": {name: pictures.link(path) for name, path in files.drawn.items()},
         "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
-        "by_field": _by_field(elements, by_seed),
+        "by_field": _by_radius(settings, elements, by_seed),
         "comparisons": _comparisons(frames),
         "gallery": gallery.entries(settings, files, table1),
         "captures": captures.read(files.captures, files.answers, settings.supervisor),
@@ -195,11 +195,14 @@ def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
     return tables.build(name, caption, frame, spread + note)
 
 
-def _by_field(elements: Iterable[str], by_seed: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
-    """Return the charts of accuracy by field in table 1, one for each name of elements."""
+def _by_radius(
+    settings: ReportJob, elements: Iterable[str], by_seed: Mapping[str, pandas.DataFrame]
+) -> list[charts.Chart]:
+    """Return the charts of accuracy over the radius in table 1, one for each name of elements."""
     if "table1" not in by_seed:
         return []
-    by_elements = [charts.accuracy_by_field(name, by_seed["table1"]) for name in elements]
+    radii = settings.radii, settings.design_radii
+    by_elements = [charts.accuracy_by_radius(name, by_seed["table1"], *radii) for name in elements]
     return [chart for chart in by_elements if chart is not None]
 
 

@@ -92,26 +92,42 @@ def accuracy_over_rms(table: pandas.DataFrame) -> Chart | None:
     return _chart("accuracy", "Accuracy and sharpness", words, figure, 600, legend=_LEGEND, hovermode="closest", **axes)
 
 
-def accuracy_by_field(elements: str, by_seed: pandas.DataFrame) -> Chart | None:
-    """Chart the accuracy of the designs of some elements at each field, mean over seeds; None without such columns."""
-    fields = [name for name in by_seed if str(name).startswith(FIELD)]
+def accuracy_by_radius(
+    elements: str, by_seed: pandas.DataFrame, radii: Sequence[float], seen: Sequence[float]
+) -> Chart | None:
+    """Chart the accuracy of the designs of some elements over the radius, mean over seeds; None without such columns.
+
+    Args:
+        radii: distance of each field of the grading from the axis, in units of that of the corner.
+        seen: distances of the fields that designs see, marked by lines; empty if they are drawn.
+    """
+    columns = {f"{FIELD}{k}": radius for k, radius in enumerate(radii)}
+    if "corner_accuracy" in by_seed:
+        columns["corner_accuracy"] = 1.0
+    fields = sorted((name for name in columns if name in by_seed), key=lambda name: columns[name])
     rows = by_seed[by_seed["elements"] == elements].dropna(subset=fields)
     if not fields or rows.empty:
         return None
     means = rows.groupby("design", sort=False)[fields].mean()
     figure = go.Figure()
+    for radius in dict.fromkeys(round(radius, 4) for radius in seen):
+        figure.add_vline(x=radius, line={"dash": "dot", "width": 1, "color": "#888888"})
     for k, (design, values) in enumerate(means.iterrows()):
         figure.add_scatter(
-            x=list(range(len(fields))),
+            x=[round(columns[name], 4) for name in fields],
             y=values.round(2).tolist(),
             mode="lines+markers",
             name=str(design),
             line={"width": 1.5, "color": COLOURS[k % len(COLOURS)], "dash": _DASHES[k // len(COLOURS) % len(_DASHES)]},
         )
     corner = "; ".join(f"{design} {value:.1f}" for design, value in means[fields[-1]].items())
-    words = f"Accuracy [%] at the fields from the axis (0) to the corner ({len(fields) - 1}). In the corner: {corner}."
-    axes = {"xaxis": {"title": {"text": "field"}, "dtick": 1}, "yaxis": {"title": {"text": "accuracy [%]"}}}
-    title = f"Accuracy by field: {elements}"
+    words = f"Accuracy [%] over the distance from the axis; 1 is the corner of the sensor. Farthest out: {corner}."
+    words += " Dotted: fields that designs see." if len(seen) else " Designs see fields drawn over the whole sensor."
+    axes = {
+        "xaxis": {"title": {"text": "distance from the axis [of the corner]"}, "range": [0, 1.02]},
+        "yaxis": {"title": {"text": "accuracy [%]"}},
+    }
+    title = f"Accuracy by radius: {elements}"
     return _chart(f"fields-{elements}", title, words, figure, 420, legend=_LEGEND, showlegend=True, **axes)
 
 

@@ -1,0 +1,33 @@
+"""PSFs of a lens at the fields where networks are trained, lenses are chosen, and lenses are graded."""
+
+from pathlib import Path
+
+import torch
+
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.spots import evaluation_psf
+from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.io.psf_files import FieldPsfs
+from tasklens.optics.psf import psf_notes
+from tasklens.optics.view import drawn_points, view_of_spec
+from tasklens.study.job_settings import PsfJob
+
+_DRAWS, _DRAWS_OF_WAVES = 8, 2  # draws of nine fields for training; a PSF with diffraction takes two seconds
+
+
+def run(settings: PsfJob, lens: Path, psf: Path) -> None:
+    """Write the PSFs of all sets of fields; equal sets are stored once."""
+    drawn = drawn_points(_DRAWS_OF_WAVES if settings.diffraction else _DRAWS, settings.seed)
+    points, sets = torch.empty(0, 2, dtype=torch.float64), {}
+    ends: dict[object, tuple[int, int]] = {}
+    for name, fields in settings.sets.items():
+        if fields not in ends:
+            of_set = drawn if fields is None else torch.tensor(fields, dtype=torch.float64)
+            ends[fields] = len(points), len(points) + len(of_set)
+            points = torch.cat([points, of_set])
+        sets[name] = ends[fields]
+    view = view_of_spec(settings.spec).at(points)
+    design = prescription.read(lens)[0].lens
+    grid = evaluation_psf(design, view, settings.rays, diffraction=settings.diffraction)
+    notes = psf_notes(view, grid) | {"rays": settings.rays, "diffraction": settings.diffraction}
+    psf_files.write(psf, FieldPsfs(grid, relative_illumination(design, view)), sets, notes)

@@ -1,0 +1,152 @@
+"""Fields of a study: points of the sensor that designs see, and points at which lenses are graded; no torch here.
+
+Points are fractions (u, v) of the half width and half height of the sensor. A rotationally symmetric lens sees one
+quadrant as the others. A set of the centres of equal cells is uniform in area.
+"""
+
+from math import hypot
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, model_validator
+
+from tasklens.study.frozen import Frozen
+
+Points = tuple[tuple[float, float], ...]
+
+_LEAST = 4  # fields of a set
+_MISSED = 0.1  # largest distance of the nearest field of a set from axis and corner [diagonals]
+
+
+def cell_centres(columns: int, rows: int) -> Points:
+    """Return the centres of a grid of equal cells over the quadrant, row by row from the axis."""
+    return tuple(((i + 0.5) / columns, (k + 0.5) / rows) for k in range(rows) for i in range(columns))
+
+
+PAPER: Points = tuple((u, v) for v in (0, 0.5, 1) for u in (0, 0.5, 1))  # of Yang et al. 2024
+CELLS = 3  # columns and rows of cells in which the fields of a step are drawn
+SELECTION = cell_centres(CELLS, CELLS)  # validate designs, and choose among lenses
+GRADING = cell_centres(4, 4)  # none of these is in SELECTION or PAPER
+CORNER: Points = ((1.0, 1.0),)
+
+
+def _checked(value: Any) -> Any:
+    """Check a set of fields: a word, or a list of [x, y] from 0 to 1."""
+    words = ("sensor", "paper")
+    if isinstance(value, str) and value in words:
+        return value
+    if not isinstance(value, list | tuple) or not all(_is_point(point) for point in value):
+        raise ValueError(
+            f"expected {' or '.join(words)}, or a list of [x, y], fractions of the half width and half height"
+        )
+    if len(value) < _LEAST:
+        raise ValueError(f"expected at least {_LEAST} fields, found {len(value)}")
+    return tuple((float(u), float(v)) for u, v in value)
+
+
+def _is_point(point: Any) -> bool:
+    return (
+        isinstance(point, list | tuple)
+        and len(point) == 2
+        and all(isinstance(part, int | float) and not isinstance(part, bool) and 0 <= part <= 1 for part in point)
+    )
+
+
+FieldSet = Annotated[str | Points, BeforeValidator(_checked)]
+
+
+class FieldSettings(Frozen):
+    """Settings of the fields of a study; `paper` or `sensor` alone stands for both keys."""
+
+    design: FieldSet = Field(
+        "sensor",
+        description="Fields of the losses of designs. sensor: drawn anew in each step, uniformly in area, one in each "
+        "of 3 x 3 cells; paper: the paper's nine in every step; or a list of [x, y], fractions of the half width and "
+        "half height of the sensor.",
+    )
+    grading: FieldSet = Field(
+        "sensor",
+        description="Fields of the test images. sensor: the centres of 4 x 4 cells, which no design or choice uses; "
+        "paper: the paper's nine, on which networks are then trained and lenses chosen, too; or a list.",
+    )
+    nine: bool = Field(False, description="Grade lenses at the paper's nine fields, too.")
+
+    @model_validator(mode="before")
+    @classmethod
+    def _one_word(cls, value: Any) -> Any:
+        return dict.fromkeys(("design", "grading"), _checked(value)) if isinstance(value, str) else value
+
+    @property
+    def design_points(self) -> Points | None:
+        """Fields of the losses of designs; None if they are drawn."""
+        return points(self.design)
+
+    @property
+    def grading_points(self) -> Points:
+        """Fields of the test images."""
+        return points(self.grading) or GRADING
+
+    @property
+    def halfway(self) -> int:
+        """Index of the field of the grading that is nearest to the middle of the quadrant."""
+        fields = self.grading_points
+        return min(range(len(fields)), key=lambda k: hypot(fields[k][0] - 0.5, fields[k][1] - 0.5))
+
+    def sets(self, design: Points | None) -> dict[str, Points | None]:
+        """Return the sets of fields at which the PSFs of a lens are needed; None: drawn uniformly in area.
+
+        Args:
+            design: fields of the losses of its design.
+        """
+        if self.grading == "paper":
+            nine: dict[str, Points | None] = dict.fromkeys(("training", "selection", "grading", "nine"), PAPER)
+            return nine | {"corner": CORNER}
+        sets: dict[str, Points | None] = {
+            "training": None,
+            "selection": SELECTION,
+            "grading": self.grading_points,
+            "nine": PAPER,
+        }
+        return sets | {"corner": CORNER} | ({} if design in (None, PAPER) else {"design": design})
+
+    def graded(self, design: Points | None) -> dict[str, str]:
+        """Return the sets of fields at which a lens is graded, by metric; `design` as in `sets`."""
+        graded = {"accuracy": "grading", "corner_accuracy": "corner"}
+        if self.grading == "paper":
+            return graded
+        if design is not None:
+            graded["accuracy_at_design_fields"] = "nine" if design == PAPER else "design"
+        return graded | ({"accuracy_at_nine": "nine"} if self.nine else {})
+
+
+def radii(fields: Points, aspect: tuple[float, float]) -> tuple[float, ...]:
+    """Return the distances of fields from the axis, in units of that of the corner.
+
+    Args:
+        aspect: width and height of the sensor.
+    """
+    return tuple(hypot(u * aspect[0], v * aspect[1]) / hypot(*aspect) for u, v in fields)
+
+
+def check_set(fields: Points, aspect: tuple[float, float], where: str) -> None:
+    """Check that a set reaches from the axis to the corner; raises ValueError."""
+    distances = radii(fields, aspect)
+    for name, missed in (("axis", min(distances) / 2), ("corner", (1 - max(distances)) / 2)):
+        if missed > _MISSED:
+            raise ValueError(
+                f"{where}: the set misses the {name} by {missed:.2f} of the diagonal; expected at most {_MISSED}"
+            )
+
+
+def check_unseen(grading: Points, used: Points, where: str) -> None:
+    """Check that no field of the grading is one of those used `where`; raises ValueError."""
+    if seen := {*grading} & {*used}:
+        raise ValueError(
+            f"fields.grading: {list(min(seen))} is also a field of {where}; expected fields that nothing was chosen on"
+        )
+
+
+def points(fields: FieldSet) -> Points | None:
+    """Return the points of a set; None for the whole sensor."""
+    if fields == "sensor":
+        return None
+    return PAPER if isinstance(fields, str) else fields
