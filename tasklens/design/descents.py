@@ -4,12 +4,14 @@ Gradient descent from flat plates ends in poor lenses, for two reasons: equal st
 different ray displacements, and results depend strongly on the image order. So each step is measured in ray
 displacement (see `ray_space`), and the best of several restarts from the plates are refined.
 
+Restarts are judged by the criterion of the descent that continues them, so that each criterion chooses its own.
+
 If a design begins with other lenses, the best of them by its criterion is the start. Lenses are compared as saved:
 limits repaired, apertures set, and, if there are enough, on images other than those that guide a descent. A result
 that has only overfitted the images of its descent is replaced by its start.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +28,9 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 
 
+_JUDGED = ("criterion", "temperature", "corner_weight")  # settings by which two descents judge lenses alike
+
+
 @dataclass(frozen=True)
 class _Result:
     """A lens with its `Descent.least`, its supervisor, and the labels of the descents that led to it."""
@@ -34,6 +39,22 @@ class _Result:
     supervisor: Supervisor | None = None
     least: tuple[bool, float] = (False, 0.0)
     labels: tuple[str, ...] = ()
+
+
+def _ranked(
+    results: Sequence[_Result],
+    part: DescentSettings,
+    following: DescentSettings,
+    supervisor: Callable[[DescentSettings], Supervisor],
+) -> list[_Result]:
+    """Sort the results of a descent, the best first: by its own validation, or by the criterion that follows it."""
+    same = all(getattr(part, key) == getattr(following, key) for key in _JUDGED)
+    if same or len(results) == 1:
+        return sorted(results, key=lambda result: result.least)
+    judge = supervisor(following)
+    losses = [judge.validation_loss(result.lens, following.pixels[0]) for result in results]
+    order = sorted(range(len(results)), key=lambda i: (results[i].least[0], losses[i]))
+    return [results[i] for i in order]
 
 
 def design(
@@ -92,7 +113,8 @@ def design(
             lens, rows = run(descent, label, checkpoint)
             history += rows
             results.append(_Result(lens, descent.supervisor, descent.least, (*parent.labels, label)))
-        lenses = sorted(results, key=lambda result: result.least)
+        following = settings.descents[k] if k < len(settings.descents) else part
+        lenses = _ranked(results, part, following, supervisor)
     best = lenses[0]
     assert best.supervisor is not None  # there is a descent
     lens, loss, labels, trained = best.lens, best.least[1], best.labels, best.supervisor.criterion.trained

@@ -12,6 +12,9 @@ from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
 
 
+_SEEDS = 1000  # distance between the seeds of designs for two sets of images: each set has draws of its own
+
+
 class LensKey(NamedTuple):
     """Wildcards of the files of a lens."""
 
@@ -137,7 +140,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         fields=study.design_points(lens) if entry.descents else None,
         averaged=PAPER if study.fields.grading == "paper" else GRADING,
         rays=study.evaluation_rays,
-        seed=seed,
+        seed=(seed + _SEEDS * study.images.seed) % 2**31,
     )
 
 
