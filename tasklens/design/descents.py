@@ -27,7 +27,6 @@ from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 
-
 _JUDGED = ("criterion", "temperature", "corner_weight")  # settings by which two descents judge lenses alike
 
 

@@ -11,7 +11,6 @@ from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
 from tasklens.study.study import Study
 
-
 _SEEDS = 1000  # distance between the seeds of designs for two sets of images: each set has draws of its own
 
 

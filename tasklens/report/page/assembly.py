@@ -140,7 +140,7 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
         "by_field": _by_radius(settings, elements, by_seed),
         "comparisons": _comparisons(frames),
-        "gallery": gallery.entries(settings, files, table1),
+        "gallery": gallery.entries(settings, files, by_seed.get("table1")),
         "captures": captures.read(files.captures, files.answers, settings.supervisor),
         "histories": _histories(settings, files),
         "time": tables.build("time", "Time and memory of each kind of job", time) if len(time) else None,

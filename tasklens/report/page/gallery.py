@@ -7,6 +7,7 @@ from typing import Any
 
 import pandas
 
+from tasklens.report import by_radius
 from tasklens.report.glance import fields_by_angle
 from tasklens.report.measurements import lens_values
 from tasklens.report.page import pictures
@@ -20,6 +21,14 @@ _PICTURES = {
     "spots": "Spot diagrams of {name}: {spots}.",
     "psfs": "Point spread functions of {name} from axis to corner; above their square root, below four decades.",
     "curves": "MTF and encircled energy of {name}: {mtf}.",
+}
+
+
+_ACCURACIES = {
+    "accuracy": "accuracy",
+    "corner_accuracy": "in the corner",
+    "accuracy_at_design_fields": "at its fields",
+    "accuracy_at_nine": "at nine fields",
 }
 
 
@@ -50,12 +59,22 @@ class Entry:
     certificate: str
 
 
-def entries(settings: ReportJob, files: PageFiles, table1: pandas.DataFrame | None) -> list[Entry]:
-    """Return an entry for each lens."""
-    return [_entry(lens, settings, files, table1) for lens in settings.elements]
+def entries(settings: ReportJob, files: PageFiles, by_seed: pandas.DataFrame | None) -> list[Entry]:
+    """Return an entry for each lens; `by_seed` has the rows of table 1 by seed."""
+    return [_entry(lens, settings, files, _row(lens, settings, by_seed)) for lens in settings.elements]
 
 
-def _entry(lens: str, settings: ReportJob, files: PageFiles, table1: pandas.DataFrame | None) -> Entry:
+def _row(lens: str, settings: ReportJob, by_seed: pandas.DataFrame | None) -> dict[str, float]:
+    """Return the numbers of a lens in the first seed of table 1; empty if it is not there."""
+    if by_seed is None:
+        return {}
+    elements, _, design = lens.partition("-")
+    rows = by_seed[(by_seed["elements"] == elements) & (by_seed["design"] == design)]
+    rows = rows[rows["seed"] == settings.seeds[0]].drop(columns=["elements", "design", "classifier"], errors="ignore")
+    return {str(name): float(value) for name, value in rows.iloc[0].dropna().items()} if len(rows) else {}
+
+
+def _entry(lens: str, settings: ReportJob, files: PageFiles, row: Mapping[str, float]) -> Entry:
     content = read_yaml(files.lenses[lens])
     figures, margins = content["figures"], content["margins"]
     page = files.pages[lens].read_text(encoding="utf-8")
@@ -64,11 +83,12 @@ def _entry(lens: str, settings: ReportJob, files: PageFiles, table1: pandas.Data
         lens=lens,
         elements=settings.elements[lens],
         by_task=lens in settings.by_task,
-        facts=_facts(lens, content, table1),
+        facts=_facts(content, row),
         pictures={
             name: (pictures.link(files.pictures[name][lens]), alternative.format(**words))
             for name, alternative in _PICTURES.items()
-        },
+        }
+        | _accuracy(lens, settings, row),
         files=[(f"{lens}{path.suffix}", pictures.link(path)) for path in _files(files, lens)],
         margins=[(name.replace("_", " "), f"{value:+.4f}", not value >= 0) for name, value in margins.items()],
         manufacturability=page.partition(_HEADING)[2].split("\n\n")[:2] if _HEADING in page else [],
@@ -82,15 +102,24 @@ def _files(files: PageFiles, lens: str) -> list[Path]:
     return [files.lenses[lens], files.zemax[lens], *([catalogue] if catalogue.stat().st_size else [])]
 
 
-def _facts(lens: str, content: Mapping[str, Any], table1: pandas.DataFrame | None) -> list[tuple[str, str]]:
+def _accuracy(lens: str, settings: ReportJob, row: Mapping[str, float]) -> dict[str, tuple[str, str]]:
+    """Return the figure of the accuracy over the radius, if it was measured."""
+    if not (values := by_radius.points(row, settings.radii)):
+        return {}
+    words = ", ".join(f"{value:.1f} at {radius:.2f}" for radius, value in values)
+    drawing = by_radius.svg(row, settings.radii, settings.design_radii)
+    return {
+        "accuracy": (
+            pictures.of_text(drawing, ".svg"),
+            f"Accuracy [%] with {lens} over the distance from the axis, in units of that of the corner: {words}.",
+        )
+    }
+
+
+def _facts(content: Mapping[str, Any], row: Mapping[str, float]) -> list[tuple[str, str]]:
     figures, values = content["figures"], lens_values(content)
-    elements, _, design = lens.partition("-")
-    facts = []
-    if table1 is not None:
-        rows = table1[(table1["elements"] == elements) & (table1["design"] == design)]
-        facts += [("accuracy", f"{value:.1f} %") for value in rows["accuracy"]]
     return [
-        *facts,
+        *((words, f"{row[name]:.1f} %") for name, words in _ACCURACIES.items() if name in row),
         ("RMS spot", f"{values['rms_spot_um']:.1f} um"),
         ("light in window", f"{100 * values['energy_in_window']:.1f} %"),
         ("focal length", f"{figures['efl_mm']:.3f} mm"),
