@@ -144,7 +144,7 @@ def rank(
         }
         for points in (GRADING, PAPER)
     )
-    for sentence in between_fields.warnings(correct, at_nine):
+    for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
         warnings.warn(f"rank: {sentence}", stacklevel=2)
     ranks = report.ranked(correct)
     rows, drawings = [], {}

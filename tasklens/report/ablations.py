@@ -26,9 +26,12 @@ def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.Data
         seed_values = [
             measurements.values(lens, classifier, seed) | measurements.lens_values(lens, seed) for seed in claims.seeds
         ]
-        columns = dict.fromkeys(("accuracy", "rms_spot_um", "core_radius_um", "energy_in_window"), "mean")
-        rows.append({"lens": lens} | pandas.DataFrame(seed_values).agg(columns | {"worst_margin": "min"}).to_dict())
-    comparison = differences[["difference", "low", "high", "seeds", "verdict"]].reset_index()
+        measured = pandas.DataFrame(seed_values)
+        names = ("accuracy", "corner_accuracy", "accuracy_at_nine", "rms_spot_um", "core_radius_um", "energy_in_window")
+        columns = dict.fromkeys((name for name in names if name in measured), "mean")
+        rows.append({"lens": lens} | measured.agg(columns | {"worst_margin": "min"}).to_dict())
+    at_nine = [name for name in verdicts.AT_NINE if name in differences]
+    comparison = differences[["difference", "low", "high", *at_nine, "seeds", "verdict"]].reset_index()
     return pandas.DataFrame(rows).merge(comparison, on="lens", how="left")
 
 
@@ -49,4 +52,6 @@ def make(
     note = _NOTE.format(
         study=claims.study, base=ablation.base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS
     )
-    publish(csv, md, f"Ablation: {ablation.name}", rows, note)
+    publish(
+        csv, md, f"Ablation: {ablation.name}", rows, "\n".join([note, *verdicts.fitted_lenses(claims, measurements)])
+    )

@@ -8,7 +8,9 @@ from tasklens.report import predictions
 from tasklens.report.bootstrap import interval, resampled_means
 
 
-def warnings(between: Mapping[str, pandas.DataFrame], at_fields: Mapping[str, pandas.DataFrame]) -> list[str]:
+def warnings(
+    between: Mapping[str, pandas.DataFrame], at_fields: Mapping[str, pandas.DataFrame], fields: str
+) -> list[str]:
     """Return a sentence for each lens that is more accurate at some fields than between them.
 
     The interval of the difference is over the images, each the mean over its fields.
@@ -16,6 +18,7 @@ def warnings(between: Mapping[str, pandas.DataFrame], at_fields: Mapping[str, pa
     Args:
         between: predictions at fields that the design did not see, by lens: a row per image, a column per field.
         at_fields: predictions for the same images at fields that it may have been designed for.
+        fields: words for these fields.
 
     Raises:
         FileError: the images differ.
@@ -28,7 +31,7 @@ def warnings(between: Mapping[str, pandas.DataFrame], at_fields: Mapping[str, pa
         low, high = interval(resampled_means(excess[:, None])[:, 0])
         if low > 0:
             sentences.append(
-                f"{lens}: {rates[0].mean():.1f} % at the fields of the design, {rates[1].mean():.1f} % between them, "
-                f"{excess.mean():.1f} points less ({low:.1f} to {high:.1f}): it is fitted to these fields."
+                f"{lens} is fitted to {fields}: {rates[0].mean():.1f} % there, {rates[1].mean():.1f} % between them "
+                f"({excess.mean():.1f} points less, {low:.1f} to {high:.1f})."
             )
     return sentences

@@ -213,8 +213,8 @@ def make(
     answer = sentences(ranks, facts.titles)
     answer += [text for text in [sieve(ranks, facts.mtf, settings.sieved)] if text is not None]
     names = {lens: facts.titles.get(lens, lens) for lens in settings.lenses}
-    titled = ({name: answers[lens] for lens, name in names.items()} for answers in (correct, at_nine))
-    answer += between_fields.warnings(*titled)
+    between, at_nine_by_title = ({names[lens]: part[lens] for lens in names} for part in (correct, at_nine))
+    answer += between_fields.warnings(between, at_nine_by_title, "the paper's nine fields")
     left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
     note += _ZERO_SHOT if "zero_shot_accuracy" in table else ""
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])

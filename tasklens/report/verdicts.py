@@ -181,16 +181,15 @@ def _baseline_text(baselines: Iterable[str]) -> str:
     return ", ".join(f"{name} ({count})" for name, count in counts.most_common())
 
 
-def warnings_of(claims: Claims, measurements: Measurements) -> list[str]:
+def fitted_lenses(claims: Claims, measurements: Measurements) -> list[str]:
     """Return a paragraph for each lens that is more accurate at the fields of its design than between them."""
     between, at_fields = {}, {}
     for key in claims.measured_keys:
-        for fields in ("design", "nine") if key.lens != SHARP else ():
-            if measurements.has(fields, [key]):
-                name = f"{key.lens}, {key.measured_name}, seed {key.seed}"
-                between[name], at_fields[name] = measurements.correct(*key), measurements.correct(*key, fields)
-                break
-    return [f"\n{sentence}" for sentence in between_fields.warnings(between, at_fields)]
+        if "accuracy_at_design_fields" in measurements.values(*key):
+            name = f"{key.lens}, {key.measured_name}, seed {key.seed}"
+            fields = "design" if measurements.has("design", [key]) else "nine"
+            between[name], at_fields[name] = measurements.correct(*key), measurements.correct(*key, fields)
+    return [f"\n{words}" for words in between_fields.warnings(between, at_fields, "the fields of its design")]
 
 
 def seeds_phrase(claims: Claims) -> str:
@@ -215,5 +214,5 @@ def make(
     words = f', for "at least as accurate" above -{margin:g} points' if margin else ""
     note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
-    note = "\n".join([note, *warnings_of(claims, measurements)])
+    note = "\n".join([note, *fitted_lenses(claims, measurements)])
     publish(csv, md, "Verdicts on the paper's claims", rows, note)
