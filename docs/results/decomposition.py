@@ -4,8 +4,8 @@ From least squares to squared error or PSNR, to image correlation, to the same w
 accuracy of each step and its difference from the step before. Then four kinds of task-driven design, each compared with
 the best lens for image quality, and with least squares. Intervals are over seeds and images (95 %). A sweep over
 `images.seed` counts as one study, with Student's interval over its points, and p-values of the task-driven kinds after
-Holm's correction. There are also the differences without the corner field, and the lowest and highest difference
-without one of the fields.
+Holm's correction. There are also the differences at the paper's nine fields or, for lenses that were designed and
+graded only there, without the corner field; and the lowest and highest difference without one of the fields.
 
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
 networks, decomposition.svg, of the network that supervised the designs, and answer.svg, of the studies of the README.
@@ -32,8 +32,8 @@ FOLDER = Path(__file__).parent
 STEPS = {  # designs of each step; of several, the one with the best minival accuracy in each seed
     "least squares": ("imaging2", "imaging3", "imaging_vignetted"),
     "squared error or PSNR": ("image_psnr", "image_error"),
-    "image correlation": ("image_correlation",),
-    "image correlation, corner weighted": ("image_corner",),
+    "image correlation": ("image_correlation", "image_correlation_flat"),
+    "image correlation, corner weighted": ("image_corner", "image_centre"),
     "task, from flat plates": ("tasklens",),
     "task, from an image-quality lens": ("tasklens_from_quality",),
     "task, network trained jointly": ("tasklens_joint",),
@@ -43,10 +43,13 @@ ANSWER = {  # studies of the figure of the README, and their headings
     "replication": "textures, fine-tuned ResNet",
     "photographs": "photographs, MobileNetV2",
 }
-QUALITY = ("image_psnr", "image_error", "image_contrast", "image_correlation", "image_corner")
+QUALITY = (
+    *("image_psnr", "image_error", "image_contrast"),
+    *("image_correlation", "image_correlation_flat", "image_corner", "image_centre"),
+)
 _FIRST = "least squares"
 _BEST = "best lens for image quality"
-_ALL, _WITHOUT = "all fields", "without the corner"
+_ALL, _WITHOUT, _NINE = "all fields", "without the corner", "the paper's nine fields"
 _KEYS = ["study", "elements", "classifier", "step", "compared_with", "fields"]
 
 
@@ -77,12 +80,14 @@ def rows_of_file(study: str, path: Path) -> pandas.DataFrame:
         for step, designs in {**STEPS, _BEST: QUALITY}.items():
             lenses = [lens for name in designs if (lens := f"{elements}-{name}", classifier) in measured]
             chosen = _choose(step, lenses, classifier, chosen, claims.seeds) if lenses else chosen
-        inner = _without(chosen, -1)
+        other_fields = (
+            (_NINE, replace(chosen, answers=chosen.at_nine)) if chosen.at_nine else (_WITHOUT, _without(chosen, -1))
+        )
         steps = [step for step in (*STEPS, _BEST) if (step, classifier, claims.seeds[0]) in chosen.answers]
         for step in (step for step in steps if step != _BEST):
             by_task = step.startswith("task")
             others = [name for name in (_BEST, _FIRST) if name in steps] if by_task else [before]
-            for other, (fields, measurements) in product(others, ((_ALL, chosen), (_WITHOUT, inner))):
+            for other, (fields, measurements) in product(others, ((_ALL, chosen), other_fields)):
                 keys = dict(zip(_KEYS, (study, elements, classifier, step, other), strict=False))
                 row = keys | {"fields": fields, "seeds": len(claims.seeds)}
                 row["accuracy"] = _accuracy(step, classifier, measurements, claims.seeds)
@@ -99,12 +104,14 @@ def _choose(
     name: str, lenses: Sequence[str], classifier: str, packed: PackedMeasurements, seeds: Sequence[int]
 ) -> PackedMeasurements:
     """Return the measurements with a further lens: in each seed the one of these with the best minival accuracy."""
-    answers, accuracies = dict(packed.answers), dict(packed.accuracies)
+    answers, accuracies, at_nine = dict(packed.answers), dict(packed.accuracies), dict(packed.at_nine)
     for seed in seeds:
         best = max(lenses, key=lambda lens: packed.accuracies[lens, classifier, seed]["minival_accuracy"])
         answers[name, classifier, seed] = packed.answers[best, classifier, seed]
         accuracies[name, classifier, seed] = packed.accuracies[best, classifier, seed]
-    return replace(packed, answers=answers, accuracies=accuracies)
+        if (best, classifier, seed) in at_nine:
+            at_nine[name, classifier, seed] = at_nine[best, classifier, seed]
+    return replace(packed, answers=answers, accuracies=accuracies, at_nine=at_nine)
 
 
 def _without(packed: PackedMeasurements, field: int) -> PackedMeasurements:
@@ -141,7 +148,7 @@ def _range(
 
 
 def draw(table: pandas.DataFrame, path: Path, headings: Mapping[str, str]) -> None:
-    """Draw the difference of each step as a point with its interval: filled for all fields, open without the corner."""
+    """Draw the difference of each step as a point with its interval: filled for all fields, open for others."""
     table = table.drop_duplicates([key for key in _KEYS if key != "compared_with"])  # the first comparison of each step
     panels = list(table.groupby(["study", "elements", "classifier"], sort=False))
     columns = min(3, len(panels))
@@ -154,7 +161,7 @@ def draw(table: pandas.DataFrame, path: Path, headings: Mapping[str, str]) -> No
             axis.remove()
         for axis, ((study, elements, _), part) in zip(axes.flat, panels, strict=False):
             for row in part.dropna(subset="difference").to_dict("records"):
-                inner = row["fields"] == _WITHOUT
+                inner = row["fields"] != _ALL
                 y = steps.index(row["step"]) + 0.25 * inner
                 axis.plot([row["low"], row["high"]], [y, y], color="#0072B2", linewidth=1 if inner else 2)
                 face = "white" if inner else "#0072B2"
@@ -174,7 +181,7 @@ def draw(table: pandas.DataFrame, path: Path, headings: Mapping[str, str]) -> No
         axes[0, 0].xaxis.set(major_formatter="{x:g}")
         label = (
             "accuracy minus that of the step above; for the task, minus that of the best image-quality lens [points]\n"
-            "numbers: accuracy [%]; open symbols: without the corner"
+            "numbers: accuracy [%]; open symbols: at the paper's nine fields, or at nine without the corner"
         )
         figure.supxlabel(label, fontsize="medium")
         figure.savefig(path, format="svg", metadata=vector_files.METADATA["svg"])
