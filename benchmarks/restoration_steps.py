@@ -31,13 +31,13 @@ def main(arguments: list[str] | None = None) -> None:
     rows = []
     for lens in options.lenses or report_jobs.CapturesJob.of(study).restored:
         job = RestorationJob.of(study, lens, study.seeds[0])
-        psf = psf_files.read(options.results / "lenses" / lens / f"seed{job.seed}" / "psf.safetensors")
-        camera = PsfCamera.of(job.capture, *psf)
+        path = options.results / "lenses" / lens / f"seed{job.seed}" / "psf.safetensors"
+        cameras = [PsfCamera.of(job.capture, *psf_files.read(path, fields)) for fields in ("training", "selection")]
         quality, seconds = [], []
         for steps in (job.restoration.steps, 2 * job.restoration.steps):
             settings = job.restoration.model_copy(update={"steps": 2 if options.tiny else steps})
             begin = time.process_time()
-            _, history = training.train(settings, images, minival, camera, job.seed)
+            _, history = training.train(settings, images, minival, *cameras, job.seed)
             quality.append(history[-1]["psnr_db"])
             seconds.append(time.process_time() - begin)
         numbers = (f"{quality[0]:.2f}", f"{quality[1]:.2f}", f"{quality[1] - quality[0]:+.2f}")

@@ -1,10 +1,13 @@
 """Random answers to the images of a study, right with a probability of each design."""
 
+from collections.abc import Iterable
+
 import numpy
 import pandas
 
 from tasklens.report.measurements import Measurements
 from tasklens.study.claims import Claim
+from tasklens.study.tables import MeasuredKey
 
 PROBABILITY = {  # of a correct answer, in the corner half of it
     "imaging2": 0.5,
@@ -20,12 +23,15 @@ PROBABILITY = {  # of a correct answer, in the corner half of it
 class RandomAnswers(Measurements):
     """Measurements with random answers, right with the probability of the design."""
 
-    def correct(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+    def correct(self, lens: str, classifier: str, seed: int, fields: str = "field") -> pandas.DataFrame:
         generator = numpy.random.default_rng([*lens.encode(), seed])
         worth = numpy.array([1.0] if lens == "sharp" else [1.0] * 8 + [0.5])
         answers = generator.random((50, len(worth))) < worth * probability(lens)
         index = pandas.MultiIndex.from_arrays([range(50), ["07"] * 50], names=["image", "label"])
         return pandas.DataFrame(answers.astype(int), index=index)
+
+    def has(self, fields: str, keys: Iterable[MeasuredKey]) -> bool:
+        return fields == "field"
 
     def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
         return {"minival_accuracy": 100 * probability(lens), "chance": 10.0, "psnr_db": 20.0}

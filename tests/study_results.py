@@ -32,6 +32,6 @@ def write_results(study, accuracy, minival=None, inside=0.9, lenses=None) -> Non
                 rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
                 frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
                 write(measurement(study.name, lens, name, seed), frame.to_csv(index=False))
-            figures = {"rms_centroid_um": [9.0], "core_radius_um": [3.0], "energy_in_window": [inside]}
-            text = yaml.safe_dump({"figures": figures, "worst_margin": {"limit": "max_slope", "value": 0.01}})
+            means = {"rms_spot_um": 9.0, "core_radius_um": 3.0, "energy_in_window": inside}
+            text = yaml.safe_dump({"means": means, "worst_margin": {"limit": "max_slope", "value": 0.01}})
             write(lens_file(study.name, lens, seed), text)

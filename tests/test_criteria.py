@@ -14,6 +14,7 @@ from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition.tasks import Classification
 from tasklens.study.design_settings import DescentSettings
+from tasklens.study.fields import SELECTION
 from tasklens.study.settings import Spec
 
 KERNEL = 21
@@ -38,13 +39,13 @@ def expected(along: float, across: float) -> float:
 def test_contrast_of_a_point_beside_the_centre(direction, column, row):
     """It falls with the cosine of the shift, along the field and across it; at half a period it is reversed."""
     ex, ey = direction[0].tolist()
-    loss = float(Contrast(direction).losses(point(column, row)))
+    loss = float(Contrast().losses(point(column, row), direction))
     assert loss == pytest.approx(expected(ex * column + ey * row, ex * row - ey * column), abs=1e-12)
 
 
 def test_light_beside_the_window_has_no_contrast():
-    assert float(Contrast(UP).losses(0.25 * point(0, 0))) == pytest.approx(0.75, abs=1e-12)
-    assert float(Contrast(UP).losses(0 * point(0, 0))) == 1
+    assert float(Contrast().losses(0.25 * point(0, 0), UP)) == pytest.approx(0.75, abs=1e-12)
+    assert float(Contrast().losses(0 * point(0, 0), UP)) == 1
 
 
 def test_contrast_of_a_gaussian():
@@ -53,15 +54,14 @@ def test_contrast_of_a_gaussian():
     psf = torch.exp(-(x[:, None] ** 2 + x**2) / (2 * 1.5**2))
     grid = (psf / psf.sum()).expand(2, 3, -1, -1)
     contrast = [math.exp(-2 * (math.pi * f * 1.5) ** 2) for f in (1 / 8, 1 / 4)]
-    losses = Contrast(torch.cat([UP, SLANTED])).losses(grid)
+    losses = Contrast().losses(grid, torch.cat([UP, SLANTED]))
     torch.testing.assert_close(losses, f64([1 - sum(contrast) / 2] * 2), rtol=0, atol=1e-6)
 
 
 def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
     """At PSFs of a lens, without images: the loss is linear in the PSFs, so finite differences are exact."""
     lens = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    criterion = Contrast(VIEW.directions)
-    supervisor = Supervisor(criterion, problem(), None, False, 1)
+    supervisor = Supervisor(Contrast(), problem(), None, False, 1)
     pupil = sobol_disc(64, 0)
 
     def loss(curvature):
@@ -75,22 +75,24 @@ def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
     torch.testing.assert_close(gradient, expected, rtol=1e-4, atol=1e-6 * float(expected.abs().max()))
 
 
-@pytest.mark.parametrize("criterion", [Contrast(VIEW.directions), SpotRadius(), ImageError(True)])
+@pytest.mark.parametrize("criterion", [Contrast(), SpotRadius(), ImageError(True)])
 def test_fields_are_weighted_up_to_the_corner(start, criterion):
     """The corner weighs four times as much as the axis, in steps and on fixed images; weights have mean 1."""
     equal, weighted = (Supervisor(criterion, problem(), None, False, 36, corner_weight=w) for w in (1.0, 4.0))
-    weights = weighted.weights
+    weights = weighted.weights(VIEW)
     assert float(weights[-1] / weights[0]) == pytest.approx(4) and float(weights.mean()) == pytest.approx(1)
-    assert torch.equal(equal.weights, torch.ones_like(weights))
-    losses = [s.loss(start, sobol_disc(64, 0), 1.0, torch.arange(4), seed=0).fields for s in (equal, weighted)]
-    torch.testing.assert_close(losses[1], weights * losses[0], rtol=1e-5, atol=0)
+    assert torch.equal(equal.weights(VIEW), torch.ones_like(weights))
+    losses = [s.loss(start, sobol_disc(64, 0), 1.0, torch.arange(4), seed=0) for s in (equal, weighted)]
+    weights = weighted.weights(losses[0].view)
+    torch.testing.assert_close(losses[1].fields, weights * losses[0].fields, rtol=1e-5, atol=0)
     fixed = [s.fixed_losses(start, 1.0, slice(4)) for s in (equal, weighted)]
+    weights = weighted.weights(problem().view_of_validation)
     if not isinstance(criterion, ImageError):  # a loss for each field
         torch.testing.assert_close(fixed[1], weights * fixed[0], rtol=1e-5, atol=0)
         return
     alone = []  # a loss for each image: the mean over fields
-    for field in VIEW.fields:
-        posed = replace(problem(), view=replace(VIEW, fields=field[None]))
+    for field in SELECTION:
+        posed = replace(problem(), fields=(field,))
         alone.append(Supervisor(criterion, posed, None, False, 36).fixed_losses(start, 1.0, slice(4)))
     expected = (weights[:, None] * torch.stack(alone).to(weights)).mean(0)
     torch.testing.assert_close(fixed[1].to(expected), expected, rtol=1e-4, atol=0)
@@ -107,7 +109,7 @@ def test_a_lost_ray_costs_a_millimetre():
 def test_contrast_alone_makes_a_lens():
     """From plates, without classifier or images: the loss of contrast falls by a quarter."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast(VIEW.directions)
+    steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast()
     lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
     supervisor = Supervisor(contrast, problem(), None, False, 1)
     before, after = (supervisor.validation_loss(candidate, 10.0) for candidate in (plates, lens))

@@ -24,8 +24,8 @@ class Brightness(nn.Module):
 
 def measure(classifier, test, minival, pipeline) -> list[dict]:
     """Metrics of a classifier without training."""
-    results = [evaluation.evaluate(classifier, images, pipeline) for images in (test, minival)]
-    return evaluation.measure(classifier, test, *results, captured=pipeline.camera is not None)
+    graded, selected = (evaluation.evaluate(classifier, images, pipeline) for images in (test, minival))
+    return evaluation.measure(classifier, test, {"accuracy": graded}, selected, captured=pipeline.camera is not None)
 
 
 def grey_images(values, labels) -> data.ImageDataset:
@@ -72,7 +72,7 @@ def test_losses_by_hand():
             logits = [-abs(value - middle) for middle in (0.1, 0.5, 0.9)]
             expected = math.log(sum(map(math.exp, logits))) - logits[label]
             assert losses[field, image::2].tolist() == pytest.approx([expected] * 45, rel=1e-5)
-    rows = evaluation.by_image(losses, dataset)
+    rows = evaluation.by_image({"field": losses}, dataset)
     assert len(rows) == 90 and list(rows[1]) == ["image", "label", "field0", "field1"]
     assert (rows[1]["image"], rows[1]["label"], rows[1]["field1"]) == (1, "bright", losses[1, 1].item())
 
@@ -86,7 +86,7 @@ def test_every_field_is_evaluated_on_every_image():
     expected = -20 * torch.log10(torch.tensor([5, 120, 60]) / 255)
     torch.testing.assert_close(result.psnr_db[1, :3], expected, rtol=0, atol=1e-3)
     rows = measure(Brightness(), dataset, dataset, evaluation.CapturePipeline(Dimming([1.0, 0.5])))
-    assert evaluation.by_image(result.correct.int(), dataset)[:3] == [
+    assert evaluation.by_image({"field": result.correct.int()}, dataset)[:3] == [
         {"image": 0, "label": "dark", "field0": 1, "field1": 1},
         {"image": 1, "label": "bright", "field0": 1, "field1": 0},
         {"image": 2, "label": "medium", "field0": 1, "field1": 0},
@@ -104,7 +104,7 @@ def test_restoration_stands_between_camera_and_classifier():
             return 2 * captures
 
     dataset = grey_images([10, 240, 120], [0, 2, 1])
-    pipeline = evaluation.CapturePipeline(Dimming([0.5, 0.5]), Double())
+    pipeline = evaluation.CapturePipeline(Dimming(9 * [0.5]), Double())
     result = evaluation.evaluate(Brightness(), dataset, pipeline)
     assert result.correct.all() and (result.psnr_db > 80).all()
     restored = pipeline.one_field(dataset.batch(torch.arange(3))[0], torch.Generator().manual_seed(0))
@@ -113,11 +113,12 @@ def test_restoration_stands_between_camera_and_classifier():
 
 def test_training_sees_a_random_field_per_image():
     """Over many images each field is seen about equally often, drawn by the generator alone."""
-    pipeline, images = evaluation.CapturePipeline(Dimming([0.1, 0.2, 0.3, 0.4])), torch.ones(400, 3, 4, 4)
+    factors = [k / 10 for k in range(1, 10)]
+    pipeline, images = evaluation.CapturePipeline(Dimming(factors)), torch.ones(900, 3, 4, 4)
     means = [pipeline.one_field(images, torch.Generator().manual_seed(s)).mean((1, 2, 3)) for s in (0, 0, 1)]
     assert torch.equal(means[0], means[1]) and not torch.equal(means[0], means[2])
-    counts = torch.bincount((10 * means[0]).round().long(), minlength=5)[1:]
-    assert counts.sum() == 400 and counts.min() > 60
+    counts = torch.bincount((10 * means[0]).round().long(), minlength=10)[1:]
+    assert counts.sum() == 900 and counts.min() > 60
 
 
 def test_the_worst_images_are_one_in_a_hundred():

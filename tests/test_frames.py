@@ -22,9 +22,9 @@ from tasklens.study.settings import Spec
 
 LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
 SHAPE = 108, 192
-IMAGES, SIDE, FIELDS = 8, 16, 9
+IMAGES, SIDE, FIELDS, HALFWAY = 8, 16, 16, 5
 TASK, JOINT, BEST, OTHER = "doublet-tasklens", "doublet-tasklens_joint", "doublet-imaging2", "doublet-imaging3"
-CORRECT = {  # at the middle field, in file order
+CORRECT = {  # halfway to the corner, in file order
     TASK: [1, 0, 1, 0, 1, 1, 0, 0],
     JOINT: [1, 1, 0, 1, 1, 1, 0, 0],
     BEST: [1, 0, 0, 1, 0, 1, 1, 0],
@@ -56,13 +56,14 @@ def study(tmp_path, monkeypatch):
     labels = {"classes": ["cat", "dog"], "labels": [0, 1] * (IMAGES // 2)}
     write(outputs("images", study).test_labels, json.dumps(labels))
     for lens, correct in CORRECT.items():
-        files = outputs("design", study, lens=lens, seed=0)
-        shutil.copy(LENSES / f"{lens}.yaml", with_parent(files.lens))
+        shutil.copy(LENSES / f"{lens}.yaml", with_parent(outputs("design", study, lens=lens, seed=0).lens))
         psf = torch.zeros(FIELDS, 3, 5, 5)
         psf[..., 2, 2] = 1
-        psf_files.write(files.psf, FieldPsfs(psf, torch.ones(FIELDS)), {"fields_mm": FIELDS * [[0, 0]]})
+        path = outputs("psfs", study, lens=lens, seed=0).psf
+        notes = {"fields_mm": FIELDS * [[0, 0]]}
+        psf_files.write(path, FieldPsfs(psf, torch.ones(FIELDS)), {"grading": (0, FIELDS)}, notes)
         tuned = outputs("fine_tune", study, lens=lens, measured_name="small", seed=0)
-        columns = {f"field{k}": correct if k == 4 else [0] * IMAGES for k in range(FIELDS)}
+        columns = {f"field{k}": correct if k == HALFWAY else [0] * IMAGES for k in range(FIELDS)}
         rows = {"image": range(IMAGES), "label": ["cat", "dog"] * (IMAGES // 2)} | columns
         write(tuned.predictions, pandas.DataFrame(rows).to_csv(index=False))
         write(tuned.metrics, f"metric,field,value\nminival_accuracy,0,{80 if lens == BEST else 10}\n")

@@ -75,11 +75,10 @@ def write_results(study, light: float) -> None:
     contents = MeritFunctionJob.of(study).contents
     for lens in contents.lenses:
         psf = gaussians(random.uniform(0.4, 3, 9).tolist())
-        path = outputs("design", study, lens=lens, seed=0).psf
+        path = outputs("psfs", study, lens=lens, seed=0).psf
         path.parent.mkdir(parents=True, exist_ok=True)
-        psf_files.write(
-            path, FieldPsfs(torch.from_numpy(light * psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
-        )
+        psfs, notes = FieldPsfs(torch.from_numpy(light * psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
+        psf_files.write(path, psfs, {"selection": (0, len(psf))}, notes)
         for name, band in (("small", 2), ("other", 5)):
             loss = numpy.exp(1 - 4 * modulation(psf)[:, band])
             losses = {"image": range(2), "label": ["cat", "dog"]}

@@ -15,6 +15,7 @@ from tasklens.design.supervision import Supervisor
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.report.optimality import Optimum
 from tasklens.study.design_settings import DescentSettings
+from tasklens.study.fields import PAPER
 from tasklens.study.settings import Spec
 from tasklens.study.tolerance_settings import Grade
 
@@ -43,7 +44,7 @@ def feasible(spot_lens):
 
 
 def examine(lens, target) -> Optimum:
-    supervisor = Supervisor(Bowl(target), problem(), None, False, 36)
+    supervisor = Supervisor(Bowl(target), replace(problem(), fields=PAPER), None, False, 36)
     return Optimum(**local_optimum(lens, supervisor, PART))
 
 
@@ -80,7 +81,7 @@ def test_a_descent_that_was_cut_short_has_not_converged():
 def test_a_design_by_contrast_needs_no_images(feasible):
     """Its test of the optimum, too; built lenses of a toleranced design differ in it."""
     without = replace(problem(), dataset=None, capture=None)
-    supervisor = Supervisor(Contrast(VIEW.directions), without, None, False, 36)
+    supervisor = Supervisor(Contrast(), without, None, False, 36)
     result = local_optimum(feasible, supervisor, PART)
     with_images = local_optimum(feasible, replace(supervisor, problem=problem()), PART)
     assert result["gain"] == pytest.approx(with_images["gain"], rel=1e-9) and result["images"] == 0

@@ -240,15 +240,21 @@ def test_a_chart_has_a_point_per_lens_and_names_the_most_accurate():
     assert charts.accuracy_over_rms(TABLE[:1]) is None  # sharp images only
 
 
-def test_accuracy_by_field_is_a_line_per_design_from_axis_to_corner():
-    """Mean over seeds, of the designs of one name of elements; None for a table without fields."""
+def test_accuracy_by_radius_is_a_line_per_design_from_axis_to_corner():
+    """Mean over seeds, of the designs of one name of elements; dotted lines where designs see; None without fields."""
     rows = {"elements": ["", "doublet", "doublet", "triplet"], "design": ["reference", "task", "task", "task"]}
-    rows |= {"accuracy_field0": [None, 90.0, 94.0, 99.0], "accuracy_field1": [None, 80.0, 70.0, 98.0]}
-    chart = charts.accuracy_by_field("doublet", pandas.DataFrame(rows))
+    rows |= {"accuracy_field0": [None, 80.0, 70.0, 98.0], "accuracy_field1": [None, 90.0, 94.0, 99.0]}
+    chart = charts.accuracy_by_radius("doublet", pandas.DataFrame(rows), (0.875, 0.125), ())
     (line,) = json.loads(chart.json)["data"]
-    assert (line["name"], line["x"], line["y"]) == ("task", [0, 1], [92.0, 75.0])
-    assert "In the corner: task 75.0." in chart.words
-    assert charts.accuracy_by_field("doublet", TABLE) is None
+    assert (line["name"], line["x"], line["y"]) == ("task", [0.125, 0.875], [92.0, 75.0])
+    assert "Farthest out: task 75.0. Designs see fields drawn over the whole sensor." in chart.words
+    corner = pandas.DataFrame(rows | {"corner_accuracy": [None, 60.0, 50.0, 90.0]})
+    chart = charts.accuracy_by_radius("doublet", corner, (0.875, 0.125), (0.0, 0.5, 0.5, 1.0))
+    content = json.loads(chart.json)
+    assert (content["data"][0]["x"][-1], content["data"][0]["y"][-1]) == (1.0, 55.0)
+    assert [line["x0"] for line in content["layout"]["shapes"]] == [0.0, 0.5, 1.0]
+    assert "Farthest out: task 55.0. Dotted: fields that designs see." in chart.words
+    assert charts.accuracy_by_radius("doublet", TABLE, (0.125, 0.875), ()) is None
 
 
 def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():

@@ -20,7 +20,7 @@ PHONE, COMMERCIAL = map(Grade.model_validate, ("phone_moulding", "commercial_mou
 
 
 def supervisor(grade: Grade | None, criterion=None) -> Supervisor:
-    return Supervisor(criterion or Contrast(problem().view.directions), problem(), None, False, 1, "chief_ray", grade)
+    return Supervisor(criterion or Contrast(), problem(), None, False, 1, "chief_ray", grade)
 
 
 def test_without_a_grade_the_design_itself_is_evaluated(start):

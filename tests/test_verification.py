@@ -71,10 +71,11 @@ def lens_file(study, lens) -> Path:
 
 
 def lens_content(efl_mm, **margins) -> dict:
-    figures = {"rms_centroid_um": [9.0], "core_radius_um": [3.0], "energy_in_window": [0.9], "efl_mm": efl_mm}
+    means = {"rms_spot_um": 9.0, "core_radius_um": 3.0, "energy_in_window": 0.9}
     margins = {"max_slope": 0.1, "min_air_gap": 0.0, "efl_tolerance": 0.02} | margins
     worst = min(margins, key=margins.get)
-    return {"figures": figures, "margins": margins, "worst_margin": {"limit": worst, "value": margins[worst]}}
+    computed = {"figures": {"efl_mm": efl_mm}, "means": means, "margins": margins}
+    return computed | {"worst_margin": {"limit": worst, "value": margins[worst]}}
 
 
 def verify(study, **changes) -> verification.Findings:
