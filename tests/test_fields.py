@@ -1,0 +1,379 @@
+"""Fields: points that designs see, points at which lenses are graded, and limits that hold between them."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+
+import numpy
+import pandas
+import pytest
+import torch
+from designs import LIMITS, VIEW, problem, tiny_network
+from examples import changed, f64, lens_and_view, lens_file, tiny_study
+from rules import finish, slices
+from scipy.stats import chi2
+from torch import nn
+
+import tasklens
+from tasklens.design.constraints import all_margins, limit_margins, worst_margin
+from tasklens.design.criteria import Contrast, SpotRadius, TaskLoss
+from tasklens.design.merit import limit_semi_diameters
+from tasklens.design.problem import Problem
+from tasklens.design.ray_space import repair
+from tasklens.design.supervision import Supervisor
+from tasklens.imaging import PsfCamera
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters, evaluation_psf
+from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.lens import Lens
+from tasklens.optics.view import drawn_points, view_of_spec
+from tasklens.recognition.evaluation import CapturePipeline
+from tasklens.report import between_fields
+from tasklens.runtime.files import FileError, read_tensors
+from tasklens.sensor import noise
+from tasklens.study.fields import CELLS, CORNER, GRADING, PAPER, SELECTION, FieldSettings, Points, radii
+from tasklens.study.loading import parse
+from tasklens.study.settings import SensorSettings, Spec
+from tasklens.study.study import Study, StudyError
+from tasklens.study.tables import lens_design
+
+HEADLINE = Path(__file__).parents[1] / "docs/results/headline/lenses"
+OWN: Points = ((0.0, 0.0), (0.6, 0.2), (0.3, 0.7), (1.0, 1.0), (0.9, 0.4))
+LIST = [list(point) for point in OWN]  # as a study file has them
+
+
+def published(name: str) -> Lens:
+    """A lens of the headline study."""
+    return prescription.read(HEADLINE / f"{name}.yaml")[0].lens
+
+
+def small(**keys) -> Study:
+    """The small study with other keys."""
+    return parse({"extends": "small", "name": "mine", **keys})
+
+
+# ---- sets of fields
+
+
+def test_each_cell_has_a_point_in_every_draw():
+    """Nine cells, row by row; the same seed repeats the points."""
+    points = drawn_points(40, seed=1)
+    cells = (CELLS * points).long().reshape(40, CELLS**2, 2)
+    assert torch.equal(cells, (CELLS * f64(SELECTION)).long().expand(40, -1, -1))
+    assert torch.equal(points, drawn_points(40, seed=1)) and not torch.equal(points, drawn_points(40, seed=2))
+
+
+def test_draws_are_uniform_in_area():
+    """25 points are expected in each of 12 x 12 equal squares; chi-squared of 9 (16 - 1) degrees of freedom."""
+    points = drawn_points(400, seed=3)
+    counts, *_ = numpy.histogram2d(*points.T.numpy(), bins=12, range=[[0, 1], [0, 1]])
+    statistic = ((counts - 25) ** 2 / 25).sum()
+    assert chi2.ppf(0.001, 135) < statistic < chi2.ppf(0.999, 135)
+
+
+@pytest.mark.parametrize("fields, cells", [(SELECTION, 3), (GRADING, 4)])
+def test_fixed_sets_are_uniform_in_area(fields, cells):
+    """Moments of cell centres: 1/2, 1/3 less the variance of a cell, 1/4. The paper's nine are farther out."""
+    u, v = f64(fields).T
+    for mean in (u.mean(), v.mean()):
+        assert float(mean) == pytest.approx(1 / 2)
+    for square in ((u**2).mean(), (v**2).mean()):
+        assert float(square) == pytest.approx(1 / 3 - 1 / (12 * cells**2))
+    assert float((u * v).mean()) == pytest.approx(1 / 4)
+    assert float((f64(PAPER)[:, 0] ** 2).mean()) == pytest.approx(5 / 12)
+
+
+@pytest.mark.parametrize("fields", [PAPER, SELECTION, GRADING])
+@pytest.mark.parametrize("aspect", [(16, 9), (1, 1)])
+def test_sets_reach_axis_and_corner(fields, aspect):
+    """Within a tenth of the diagonal, which is two units of the corner's radius."""
+    distances = radii(fields, aspect)
+    assert min(distances) <= 0.2 and max(distances) >= 0.8
+
+
+def test_lenses_are_graded_where_nothing_was_chosen():
+    """No field of the grading is one of the selection, of the paper or of the draws."""
+    assert len({*GRADING}) == 16 and {*GRADING}.isdisjoint({*SELECTION, *PAPER, *CORNER})
+    assert {*GRADING}.isdisjoint(map(tuple, drawn_points(50, seed=0).tolist()))
+
+
+ALL_BUT_ONE = [[0, 0], [0.5, 0], [0, 0.5], [0.5, 0.5]]
+
+
+@pytest.mark.parametrize(
+    "fields, words",
+    [
+        ("corners", "fields = 'corners': expected sensor or paper, or a list of [x, y]"),
+        ({"design": "nine"}, "fields.design = 'nine': expected sensor or paper"),
+        ({"design": [[0, 0], [1, 1], [0.5, 0.5]]}, "expected at least 4 fields, found 3"),
+        ({"grading": [[0.1, 0.1], [0.9, 0.9]]}, "expected at least 4 fields, found 2"),
+        ({"design": [*ALL_BUT_ONE, [1.2, 1]]}, "expected sensor or paper, or a list of [x, y]"),
+        ({"design": [*ALL_BUT_ONE, [0.7, 0.7]]}, "fields.design: the set misses the corner by 0.15 of the diagonal"),
+        ({"design": [[0.3, 0.3], *3 * [[1, 1]]]}, "fields.design: the set misses the axis by 0.15 of the diagonal"),
+        ({"grading": [*ALL_BUT_ONE, [0.7, 0.7]]}, "fields.grading: the set misses the corner by 0.15 of the diagonal"),
+        ({"design": [[0, 0], [1, 1], *GRADING[:4]]}, "fields.grading: [0.125, 0.125] is also a field of fields.design"),
+        ({"design": GRADING}, "fields.grading: [0.125, 0.125] is also a field of fields.design"),
+        ({"design": OWN, "grading": OWN}, "fields.grading: [0.0, 0.0] is also a field of fields.design"),
+        ({"design": "paper", "grading": PAPER}, "fields.grading: [0, 0] is also a field of fields.design"),
+        ({"grading": SELECTION}, "is also a field of the choice among lenses"),
+        ({"design": "sensor", "gradig": "paper"}, "fields.gradig = 'paper': unknown key; did you mean grading?"),
+    ],
+)
+def test_wrong_fields_are_refused(fields, words):
+    with pytest.raises(StudyError) as error:
+        small(fields=fields)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+def test_fields_of_a_variant_are_checked_too():
+    """They may not be those of the grading, nor the study's own, which change nothing."""
+
+    def variant(fields) -> dict:
+        return {"fields": {"elements": "doublet", "design": "tasklens", "variants": {"other": {"fields": fields}}}}
+
+    assert small(ablations=variant("paper")).design_points("doublet-tasklens_fields_other") == PAPER
+    for fields, words in (
+        (GRADING, "is also a field of ablations.fields.variants.other.fields"),
+        (ALL_BUT_ONE, "ablations.fields.variants.other.fields: the set misses the corner"),
+        (OWN[:3], "expected at least 4 fields, found 3"),
+        ("sensor", "ablations.fields.variants.other: has the same values as the design itself"),
+    ):
+        with pytest.raises(StudyError) as error:
+            small(ablations=variant(fields))
+        assert words in str(error.value) and "\n" not in str(error.value)
+
+
+# ---- which jobs see them
+
+
+@pytest.mark.parametrize(
+    "key, value, reads",
+    [
+        ("fields.design", "paper", {"design", "fine_tune"}),  # PSFs at the nine are stored in any case
+        ("fields.design", LIST, {"design", "psfs", "fine_tune"}),
+        ("fields.grading", LIST, {"psfs", "frames", "production", "psf_tail_table"}),
+        ("fields.nine", True, {"fine_tune"}),
+    ],
+    ids=["paper", "own", "grading", "nine"],
+)  # fmt: skip
+def test_jobs_that_see_the_fields(key, value, reads):
+    """Of lenses by gradient alone if the losses change; sharp images have no fields."""
+    before, after = slices(tiny_study()), slices(changed(tiny_study(), key, value))
+    assert before.keys() == after.keys()
+    touched = {job for job in before if before[job] != after[job]} - {("report_page",)}
+    assert {job[0] for job in touched} == reads
+    assert not any(job[1:2] == ("sharp",) for job in touched)
+    assert key != "fields.design" or not any(job[0] == "design" and job[1].endswith("imaging2") for job in touched)
+
+
+def test_metrics_of_each_set():
+    """Designs for some fields are graded there, too; if the nine are all there is, not twice."""
+    default, paper = FieldSettings(), FieldSettings.model_validate("paper")
+    assert default.graded(None) == {"accuracy": "grading", "corner_accuracy": "corner"}
+    assert default.graded(PAPER)["accuracy_at_design_fields"] == "nine"
+    assert default.graded(OWN)["accuracy_at_design_fields"] == "design" and default.sets(OWN)["design"] == OWN
+    assert FieldSettings(nine=True).graded(None)["accuracy_at_nine"] == "nine"
+    assert paper.graded(PAPER) == {"accuracy": "grading", "corner_accuracy": "corner"}
+    for settings, design in itertools.product((default, paper, FieldSettings(nine=True)), (None, PAPER, OWN)):
+        assert {*settings.graded(design).values()} <= {*settings.sets(design)}
+
+
+# ---- the paper's nine for both
+
+
+def test_the_papers_fields_are_those_of_the_specification():
+    """Bit for bit, in each step and in validation, whatever the seed."""
+    study = small(fields="paper")
+    plan = lens_design(study, "doublet-tasklens", 0)
+    assert plan.fields == plan.averaged == PAPER and study.fields.grading_points == PAPER
+    view = view_of_spec(study.spec)
+    posed = Problem(view, study.constraints, 0, fields=plan.fields)
+    for seed in (0, 7):
+        assert torch.equal(posed.view_of_step(seed).fields, view.fields)
+    assert torch.equal(posed.view_of_validation.fields, view.fields)
+    assert lens_design(small(), "doublet-tasklens", 0).fields is None
+
+
+class Numbered(PsfCamera):
+    """A camera that returns the number of the field of each image."""
+
+    def __init__(self, count: int, sensor: SensorSettings | None = None):
+        psf = torch.zeros(count, 3, 3, 3)
+        psf[..., 1, 1] = 1
+        super().__init__(psf, sensor=sensor, illumination=None if sensor is None else torch.ones(count))
+
+    def __call__(self, images, fields, sample=None):
+        self.sample = sample
+        return fields
+
+
+@pytest.mark.parametrize("sensor", [None, SensorSettings()])
+def test_training_at_nine_fields_draws_the_numbers_of_before(sensor):
+    """A field of each image, then the noise of the sensor; a draw of nine has no number of its own."""
+    images, camera = torch.ones(30, 3, 4, 4), Numbered(9, sensor)
+    fields = CapturePipeline(camera).one_field(images, torch.Generator().manual_seed(5), slice(10, 20))
+    generator = torch.Generator().manual_seed(5)
+    assert torch.equal(fields, torch.randint(9, (30,), generator=generator)[10:20])
+    assert sensor is None or torch.equal(camera.sample, noise(images.shape, generator)[10:20])
+
+
+def test_a_step_of_training_sees_one_draw():
+    """Of eight; over many steps all of them, and all fields of each."""
+    pipeline, generator = CapturePipeline(Numbered(72)), torch.Generator().manual_seed(0)
+    steps = [pipeline.one_field(torch.ones(30, 3, 4, 4), generator) for _ in range(60)]
+    assert all(len({*(fields // 9).tolist()}) == 1 for fields in steps)
+    assert {*torch.cat(steps).tolist()} == {*range(72)}
+
+
+# ---- stored PSFs
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def stored(study: Study, lens: str = "singlet-imaging1") -> tuple[Lens, Path]:
+    """Two random elements in place of a lens of the study, and the file of their PSFs."""
+    path = lens_file(study.name, lens)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    prescription.write(path, Prescription(lens_and_view()[0]), {})
+    return prescription.read(path)[0].lens, finish("psfs", study, lens=lens, seed=0).psf
+
+
+def test_stored_psfs_are_those_traced_at_their_fields(here):
+    """Of every set, with the illumination; the fields of training are draws by the seed."""
+    study = parse(changed(tiny_study(), "fields.design", LIST))
+    lens, path = stored(study)
+    view = view_of_spec(study.spec)
+    sets = {"selection": SELECTION, "grading": GRADING, "nine": PAPER, "corner": CORNER, "design": OWN}
+    for name, points in {**sets, "training": drawn_points(8, seed=0)}.items():
+        psf, illumination = psf_files.read(path, name)
+        seen = view.at(points)
+        assert (psf - evaluation_psf(lens, seen, study.evaluation_rays)).abs().max() < 1e-6, name
+        assert (illumination - relative_illumination(lens, seen)).abs().max() < 1e-6, name
+    assert not torch.equal(drawn_points(8, seed=0), drawn_points(8, seed=1))
+
+
+def test_psfs_of_the_papers_nine_are_stored_once(here):
+    study = parse(tiny_study() | {"fields": "paper"})
+    _, path = stored(study)
+    _, notes = read_tensors(path)
+    nine = ("training", "selection", "grading", "nine")
+    assert notes["sets"] == {name: [0, 9] for name in nine} | {"corner": [9, 10]} and len(notes["fields_mm"]) == 10
+    assert torch.equal(psf_files.read(path, "corner").psf[0], psf_files.read(path, "nine").psf[8])
+    with pytest.raises(FileError, match="has no PSFs of the fields of design"):
+        psf_files.read(path, "design")
+
+
+def test_a_quadrant_stands_for_the_others():
+    """A field turned by 90 degrees has the turned PSF, up to the sampling of the pupil."""
+    lens, view = published("doublet-tasklens"), view_of_spec(Spec()).at(OWN[1:3])
+    turned = replace(view, fields=view.fields.flip(-1) * f64([-1.0, 1.0]))
+    psf, of_turned = (evaluation_psf(lens, part, 2**15) for part in (view, turned))
+    assert float((of_turned - psf.rot90(-1, (-2, -1))).abs().sum((-2, -1)).max()) < 0.05
+    assert float((of_turned - psf).abs().sum((-2, -1)).min()) > 0.3
+
+
+# ---- right at some fields, wrong between them
+
+
+def answers(*rates: float, count: int = 60, fields: int = 9, seed: int = 0) -> pandas.DataFrame:
+    """Answers to images, of which these fractions are right at the first and at the other fields."""
+    random = numpy.random.default_rng(seed).random((count, fields))
+    index = pandas.MultiIndex.from_tuples([(k, "cat") for k in range(count)], names=["image", "label"])
+    right = random < numpy.where(numpy.arange(fields) % 2, rates[-1], rates[0])
+    return pandas.DataFrame(right.astype(int), index)
+
+
+def test_a_lens_that_is_right_at_its_fields_only_is_named():
+    """A lens that is equal, or better between its fields, is not."""
+    between = {"fitted": answers(0.8, fields=16), "equal": answers(0.9, fields=16), "better": answers(0.9, fields=16)}
+    own = {"fitted": answers(0.9, seed=1), "equal": answers(0.9, seed=1), "better": answers(0.8, seed=1)}
+    (sentence,) = between_fields.warnings(between, own, "its own fields")
+    rates = [100 * part["fitted"].to_numpy().mean() for part in (own, between)]
+    words = f"fitted is fitted to its own fields: {rates[0]:.1f} % there, {rates[1]:.1f} % between them "
+    assert sentence.startswith(f"{words}({rates[0] - rates[1]:.1f} points less, ") and sentence.endswith(").")
+    with pytest.raises(FileError, match=r"fitted.*test images differ"):
+        between_fields.warnings({"fitted": answers(0.8, count=50)}, {"fitted": own["fitted"]}, "its own fields")
+
+
+class Sharpness(nn.Module):
+    """Names the class of noise, dark or bright, if it is sharp; otherwise the other one."""
+
+    def __init__(self, least: float):
+        super().__init__()
+        self.least = least
+
+    def forward(self, images):
+        bright = images.mean((1, 2, 3)) > 0.5
+        sharp = images.diff(dim=-1).abs().mean((1, 2, 3)) > self.least
+        return torch.stack([(bright != sharp).float(), (bright == sharp).float()], -1)
+
+
+def test_ranking_names_a_lens_fitted_to_the_nine_fields():
+    """Of a published study, designed for the nine: it is sharper there than between them. Another is sharp at all."""
+    grains = 0.4 * torch.rand(12, 3, 48, 48, generator=torch.Generator().manual_seed(0))
+    images = [(image + 0.5 * (k % 2), k % 2) for k, image in enumerate(grains)]
+    names = {"fitted": "doublet-tasklens_from_quality", "sharp": "quadruplet-imaging2"}
+    lenses = {name: tasklens.load_lens(HEADLINE / f"{file}.yaml") for name, file in names.items()}
+    with pytest.warns(UserWarning) as caught:
+        result = tasklens.rank(lenses, images, Sharpness(0.0175), rays=512)
+    (sentence,) = (str(warning.message) for warning in caught if "between them" in str(warning.message))
+    assert sentence.startswith("rank: fitted is fitted to the paper's nine fields: ")
+    for name in lenses:
+        assert result.correct[name].shape == (12, 16) and result.at_nine[name].shape == (12, 9)
+    row = result.table.set_index("lens").loc["fitted"]
+    assert row["accuracy_at_nine"] > row["accuracy"] + 30
+    assert row["accuracy"] == pytest.approx(100 * result.correct["fitted"].to_numpy().mean())
+    assert (result.table.set_index("lens").loc["sharp", ["accuracy", "accuracy_at_nine"]] == 100).all()
+
+
+# ---- limits between the fields
+
+
+def test_a_limit_that_is_violated_between_the_nine_fields_is_repaired():
+    """The distortion of a published doublet is largest between the radii of the nine; its new limits hold at all."""
+    lens, view = published("doublet-imaging1"), view_of_spec(Spec())
+    apertures = torch.minimum(limit_semi_diameters(lens, view), lens.semi_diameter)
+    _, at_nine = worst_margin(all_margins(lens, LIMITS, view, apertures))
+    limit, everywhere = worst_margin(limit_margins(lens, LIMITS, view, apertures))
+    assert at_nine == pytest.approx(0.0008, abs=1e-4)
+    assert limit == "distortion" and everywhere == pytest.approx(-0.0049, abs=1e-4)
+    repaired, radii_mm = repair(lens, view, LIMITS)
+    dense = view.along_y(torch.linspace(0, 1, 300, dtype=torch.float64) * view.radii.max())
+    margins = all_margins(repaired, LIMITS, dense, torch.minimum(radii_mm, repaired.semi_diameter))
+    assert worst_margin(margins)[1] >= 0
+
+
+def test_apertures_of_limits_pass_the_light_of_all_fields():
+    """Of the nine and of any draw: with the reserve of 1 %, between the radii, too."""
+    lens = published("doublet-imaging1")
+    radii_mm = limit_semi_diameters(lens, VIEW)
+    for view in (VIEW, *(VIEW.at(drawn_points(1, seed)) for seed in range(5))):
+        assert (radii_mm > clear_semi_diameters(lens, view, OUTLINE)).all()
+
+
+# ---- losses of designs
+
+
+@pytest.mark.parametrize("criterion", [SpotRadius(), Contrast(), TaskLoss(tiny_network().eval())], ids=repr)
+def test_each_step_sees_other_fields(start, criterion):
+    """Drawn by the seed of the step; a list is the same in all of them, and in validation."""
+
+    def losses(posed: Problem, seed: int):
+        supervisor = Supervisor(criterion, posed, None, False, 36)
+        return supervisor.loss(start, sobol_disc(32, 0), 10.0, torch.arange(2), seed)
+
+    drawn, fixed = problem(), replace(problem(), fields=OWN)
+    first, again, other = (losses(drawn, seed) for seed in (0, 0, 1))
+    assert torch.equal(first.view.fields, again.view.fields) and torch.equal(first.fields, again.fields)
+    assert not torch.equal(first.view.fields, other.view.fields) and first.fields.shape == (9,)
+    assert torch.equal(first.view.fields, VIEW.at(drawn_points(1, 0)).fields)
+    one, two = (losses(fixed, seed) for seed in (0, 1))
+    assert torch.equal(one.view.fields, two.view.fields) and torch.equal(one.fields, two.fields)
+    assert torch.equal(one.view.fields, VIEW.at(OWN).fields) and one.fields.shape == (5,)
+    assert torch.equal(fixed.view_of_validation.fields, VIEW.at(OWN).fields)
+    assert torch.equal(drawn.view_of_validation.fields, VIEW.at(SELECTION).fields)
