@@ -29,5 +29,6 @@ def run(settings: PsfJob, lens: Path, psf: Path) -> None:
     view = view_of_spec(settings.spec).at(points)
     design = prescription.read(lens)[0].lens
     grid = evaluation_psf(design, view, settings.rays, diffraction=settings.diffraction)
+    light = relative_illumination(design, view) if settings.sensor else torch.ones(len(points))  # it takes seconds
     notes = psf_notes(view, grid) | {"rays": settings.rays, "diffraction": settings.diffraction}
-    psf_files.write(psf, FieldPsfs(grid, relative_illumination(design, view)), sets, notes)
+    psf_files.write(psf, FieldPsfs(grid, light), sets, notes)

@@ -65,6 +65,7 @@ class PsfJob(Frozen):
 
     Attributes:
         diffraction: whether they include diffraction.
+        sensor: whether captures have a sensor, which needs the relative illumination.
         sets: fields by set, fractions of the sensor; None: drawn uniformly in area.
         seed: seed of the fields that are drawn.
     """
@@ -72,6 +73,7 @@ class PsfJob(Frozen):
     spec: Spec
     rays: int
     diffraction: bool
+    sensor: bool
     sets: dict[str, Points | None]
     seed: int
 
@@ -82,6 +84,7 @@ class PsfJob(Frozen):
             spec=study.lens_spec(lens),
             rays=study.evaluation_rays,
             diffraction=study.capture_of(lens).diffraction,
+            sensor=study.capture_of(lens).sensor is not None,
             sets=study.fields.sets(study.design_points(lens)),
             seed=seed,
         )
