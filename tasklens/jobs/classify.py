@@ -50,10 +50,11 @@ def fine_tune(
         if group.is_first:
             initial_network = classifiers.frozen(network, images.images)
             before = evaluation.evaluate(initial_network, selection, choice, "minival, before training", checkpoint)
-            zero_shot = []
+            zero_shot, untrained = [], None
             if network.has_more_outputs:
-                untrained = pipeline("grading"), "test, before training", checkpoint
-                zero_shot = evaluation.zero_shot(network, evaluation.evaluate(initial_network, images, *untrained))
+                part = pipeline("grading"), "test, before training", checkpoint
+                untrained = evaluation.evaluate(initial_network, images, *part)
+                zero_shot = evaluation.zero_shot(network, untrained)
         training.fit(
             network,
             training_images,
@@ -69,10 +70,11 @@ def fine_tune(
     final_network, after = classifiers.frozen(network, images.images), before
     if settings.training.epochs:
         after = evaluation.evaluate(final_network, selection, choice, "minival", checkpoint)
-    graded = {
-        fields: evaluation.evaluate(final_network, images, pipeline(fields), f"test, {fields}", checkpoint)
-        for fields in dict.fromkeys(settings.graded.values())
-    }
+    graded = {} if untrained is None or settings.training.epochs else {"grading": untrained}
+    for fields in settings.graded.values():
+        if fields not in graded:
+            part = pipeline(fields), f"test, {fields}", checkpoint
+            graded[fields] = evaluation.evaluate(final_network, images, *part)
     test_by_metric = {metric: graded[fields] for metric, fields in settings.graded.items()}
     rows = evaluation.measure(network, images, test_by_metric, after, settings.capture is not None)
     correct = {"field" if fields == "grading" else fields: part.correct.int() for fields, part in graded.items()}

@@ -116,6 +116,5 @@ def _disagreements(
 def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor) -> Tensor:
     """Return the capture (3, H, W) of one image through a lens at the field of `settings`."""
     field_tensors = (tensor[[settings.field]] for tensor in psf_files.read(psf, "grading"))
-    return PsfCamera.of(settings.captures[lens], *field_tensors).all_fields(images, torch.Generator().manual_seed(0))[
-        0, 0
-    ]
+    camera = PsfCamera.of(settings.captures[lens], *field_tensors)
+    return camera.all_fields(images, torch.Generator().manual_seed(0))[0, 0]
