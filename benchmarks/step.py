@@ -73,7 +73,7 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     quick = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     lens, _ = least_squares.design(plates, problem, quick)  # no ray is lost: lost rays cost time
     optimizer = AdamWOptimizer(lens, problem, DescentSettings(optimizer="adamw", steps=rounds + 1))
-    captures = timed * len(problem.view.fields)
+    captures = timed * len(problem.view_of_validation.fields)
     ours, nothing = TaskLoss(frozen(network, dataset.images)), TaskLoss(Average())
     supervisor = Supervisor(ours, problem, None, augment=False, micro_batch=captures)
     indices = torch.arange(timed)
@@ -88,7 +88,7 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
         with clock("rays, PSFs, limits"):
             vector = optimizer.vector()
             lens = optimizer.lens(vector)
-            _, grid = supervisor.trace(lens, sobol_disc(rays, step), 1.0)
+            _, grid = supervisor.trace(lens, problem.view_of_step(step), sobol_disc(rays, step), 1.0)
             bounds = penalty(lens, problem.limits, problem.view)
         with clock("augmentation"):
             supervisor.images(indices, augment=True)

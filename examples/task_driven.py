@@ -11,7 +11,7 @@ from tasklens.design.constraints import penalty
 from tasklens.design.start import flat
 from tasklens.imaging import PsfCamera
 from tasklens.materials.catalogues import builtin
-from tasklens.optics.view import view_of_spec
+from tasklens.optics.view import drawn_points, view_of_spec
 from tasklens.recognition import scenes, training
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.study.settings import Constraints, Spec, TrainingSettings
@@ -33,7 +33,8 @@ def descend(start, view, network, batches, learning_rate=4e-3, coarsest=20.0, ra
             alpha=torch.cat([start.alpha[:1], torch.cat([start.alpha[1:, :1], alpha], 1)]),
         )
         pixels = coarsest ** max(0.0, 1 - step / (0.8 * len(batches)))
-        coarse = replace(view, pixel_pitch_um=pixels * view.pixel_pitch_um)
+        drawn = view.at(drawn_points(1, seed=step))  # new fields in each step: no lens is fitted to a few
+        coarse = replace(drawn, pixel_pitch_um=pixels * view.pixel_pitch_um)
         psf = tasklens.psf(lens, coarse, rays)  # (field, colour, y, x)
         captures = PsfCamera(psf.float()).all_fields(images)  # (field, image, colour, y, x)
         loss = cross_entropy(network(captures.flatten(0, 1)), labels.repeat(len(captures)))

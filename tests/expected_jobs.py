@@ -64,7 +64,7 @@ class Expected:
             needed |= {self.study.supervisor}
         by_seed = {
             "design": len(self.designed),
-            "diffraction": len(self.designed) if self.study.capture.diffraction else 0,
+            "psfs": len(self.designed),
             "fine_tune": len(self.measured),
             "restore": len({lens for lens, _, restored in self.measured if restored}),
             **others,

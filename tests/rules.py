@@ -126,7 +126,7 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
     """Every job that a study may have, by the name of its rule and its wildcards except the seed."""
     left_out = set() if study.sweep else {"sweep_table"}
     left_out |= set() if study.tasks.networks else {"scenes", "tasks_table"}
-    left_out |= {"production", "tolerances_table"} if study.capture.diffraction else {"diffraction"}
+    left_out |= {"production", "tolerances_table"} if study.capture.diffraction else set()
     for name in rule_names():
         if name not in left_out:
             for wildcards in wildcards_of(name, study):

@@ -9,6 +9,7 @@ from torch import nn
 
 import tasklens
 from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.view import drawn_points
 from tasklens.runtime.errors import InputError
 from tasklens.study.settings import SensorSettings
 
@@ -130,18 +131,34 @@ def test_a_lens_without_light_is_refused(lens):
 
 
 def test_fixed_psfs_are_called_like_a_lens(lens, images):
-    """Fields by number or at random, and the noise, are drawn alike from torch's default generator."""
+    """Fields by number, and the noise, are drawn alike from torch's default generator."""
     sensor = SensorSettings(full_well=100)
     camera = tasklens.Camera(*lens, rays=64, sensor=sensor)
     light = relative_illumination(lens[0], lens[1])
     fixed = tasklens.PsfCamera(tasklens.psf(*lens, rays=64).float(), sensor=sensor, illumination=light)
-    for capture in (lambda c: c(images), lambda c: c(images, [8, 0, 3, 8]), lambda c: c.all_fields(images)):
+    for capture in (lambda c: c(images, [8, 0, 3, 8]), lambda c: c.all_fields(images)):
         captures = []
         for either in (camera, fixed, fixed):
             torch.manual_seed(len(captures) // 2)  # the third has other random numbers
             captures.append(capture(either))
         torch.testing.assert_close(captures[0], captures[1], rtol=0, atol=1 / 255 + 1e-6)
         assert not torch.equal(captures[1], captures[2])
+
+
+def test_random_fields_are_of_the_whole_sensor(lens, images):
+    """Nine of each call, drawn from torch's default generator, as are the field of each image and the noise."""
+    sensor = SensorSettings(full_well=100)
+    camera = tasklens.Camera(*lens, rays=64, sensor=sensor)
+    captures = []
+    for seed in (0, 0, 1):
+        torch.manual_seed(seed)
+        captures.append(camera(images))
+    assert torch.equal(captures[0], captures[1]) and not torch.equal(captures[0], captures[2])
+    torch.manual_seed(0)
+    view = lens[1].at(drawn_points(1, seed=int(torch.randint(2**31, ()))))
+    psf, light = tasklens.psf(lens[0], view, rays=64).float(), relative_illumination(lens[0], view)
+    fixed = tasklens.PsfCamera(psf, sensor=sensor, illumination=light)
+    torch.testing.assert_close(captures[0], fixed(images), rtol=0, atol=1 / 255 + 1e-6)
 
 
 def test_noise_and_wrong_images(lens, images):

@@ -59,6 +59,7 @@ def workplace(tmp_path_factory):
         finish("images", parse(STUDY))
         run("reference")
         run("spot")
+        finish("psfs", parse(STUDY), **LENS)
         yield folder
 
 
@@ -113,17 +114,20 @@ def test_a_killed_job_ends_with_the_same_numbers(workplace, monkeypatch, job):
 
 
 def test_a_network_that_is_not_trained_is_measured_once(workplace, monkeypatch):
-    """Without epochs: minival images are captured once, for losses and accuracy; weights are those of the reference."""
+    """Without epochs: minival images are captured once, for losses and accuracy; weights are those of the reference.
+
+    Test images are captured over the sensor, and in the corner.
+    """
     captured = []
     evaluate = evaluation.evaluate
     monkeypatch.setattr(evaluation, "evaluate", lambda *rest: captured.append(len(rest[1])) or evaluate(*rest))
     run("fine_tuning")
     folder = Path("results/tiny/metrics/singlet-imaging1/seed0")
     losses = (folder / "small-frozen.csv").read_bytes()
-    assert captured == [10, 20, 10]
+    assert captured == [10, 10, 20, 20]
     captured.clear()
     run("fine_tuning", changed(STUDY, "fine_tuning.epochs", 0))
-    assert captured == [10, 20]
+    assert captured == [10, 20, 20]
     assert (folder / "small-frozen.csv").read_bytes() == losses
     weights = [
         read_tensors(Path(f"results/tiny/classifiers/{place}/small.safetensors"))[0]

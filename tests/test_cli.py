@@ -35,7 +35,8 @@ def workplace(tmp_path_factory):
 
 
 def design(name: str) -> None:
-    finish("design", STUDY, lens=f"singlet-{name}", seed=0)
+    for rule in ("design", "psfs"):
+        finish(rule, STUDY, lens=f"singlet-{name}", seed=0)
 
 
 def fine_tune(lens: str, measured_name: str = "small") -> None:
@@ -120,17 +121,21 @@ def test_design_from_imaging_begins_with_the_better_lens(lenses):
 
 
 def test_psf_file_says_what_it_holds(lenses):
-    """9 fields, 3 colours, 11 x 11 pixels; the metadata's energies are the sums of the PSFs."""
+    """3 colours, 11 x 11 pixels, and five sets of fields; the metadata's energies are the sums of the PSFs."""
     tensors, notes = read_tensors(lens_path("singlet-imaging1", "psf.safetensors"))
-    assert tensors["psf"].shape == (9, 3, 11, 11) and tensors["psf"].dtype == torch.float32
-    assert len(notes["fields_mm"]) == 9 and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
+    counts = {name: end - start for name, (start, end) in notes["sets"].items()}
+    assert counts == {"training": 72, "selection": 9, "grading": 16, "nine": 9, "corner": 1}
+    fields = sum(counts.values())
+    assert tensors["psf"].shape == (fields, 3, 11, 11) and tensors["psf"].dtype == torch.float32
+    assert len(notes["fields_mm"]) == fields and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
     torch.testing.assert_close(torch.tensor(notes["energy_inside"]), tensors["psf"].sum((-2, -1)))
 
 
 def test_metrics_are_tidy(lenses):
-    """Nine fields per metric through a lens; the images themselves have one field and no PSNR."""
+    """Fields of the grading, of the selection, and the corner; the images themselves have one field and no PSNR."""
     through = metrics("singlet-imaging1")
-    assert all(len(values(through, m)) == 9 for m in ("accuracy", "minival_accuracy", "psnr_db"))
+    counts = {"accuracy": 16, "psnr_db": 16, "worst_psnr_db": 16, "minival_accuracy": 9, "corner_accuracy": 1}
+    assert {metric: len(values(through, metric)) for metric in counts} == counts
     assert values(through, "chance") == [10.0]
     sharp = metrics("sharp")
     assert len(values(sharp, "accuracy")) == 1 and values(sharp, "psnr_db") == []
@@ -162,7 +167,7 @@ def test_an_imported_lens_goes_the_same_way(tmp_path, monkeypatch, capsys):
     study = changed(tiny_study(), "imported.cooke", entry)
     path = tmp_path / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
-    for rule in ("design", "certificate", "drawing"):
+    for rule in ("design", "psfs", "certificate", "drawing"):
         finish(rule, load(path), lens="triplet-cooke", seed=0)
     content = lens_content("triplet-cooke")
     assert content["origin"]["file"] == "theirs.yaml" and content["stop"] == 4

@@ -119,7 +119,7 @@ def test_end_to_end_design_moves_the_network_too(start):
 
 def test_a_descent_that_destroys_a_lens_returns_its_best(start):
     """At rates a hundred times too large: the lens with the least validation loss comes back."""
-    options = {"network_learning_rate": None, "classes": 1}
+    options = {"network_learning_rate": None, "classes": 1, "pixels": (10, 10)}
     rates = LEARNING_RATES.model_copy(update={"curvature": 1.0})
     lens, history = adamw_descent(Contrast(), start, steps=20, learning_rates=rates, **options)
     validated = [row["validation_loss"] for row in history]

@@ -35,7 +35,8 @@ def test_two_processes_give_the_metrics_of_one(tmp_path, monkeypatch):
     lens = {"lens": "singlet-imaging1", "seed": 0}
     finish("images", parse(study))
     finish("reference", parse(study), classifier="small")
-    finish("design", parse(study), **lens)
+    for rule in ("design", "psfs"):
+        finish(rule, parse(study), **lens)
     finish("fine_tune", parse(study), measured_name="small", **lens)
     alone = read_metrics()
     expected = {name: value.clone() for name, value in read_tensors(weights)[0].items()}

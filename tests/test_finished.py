@@ -43,7 +43,8 @@ def make() -> None:
     finish("reference", STUDY, classifier="small")
     imaging = list(STUDY.imaging_designs)
     for name in (*imaging, *(name for name in STUDY.designs if name not in imaging)):
-        finish("design", STUDY, lens=f"singlet-{name}", seed=0)
+        for rule in ("design", "psfs"):
+            finish(rule, STUDY, lens=f"singlet-{name}", seed=0)
         if name in imaging:  # the end-to-end design starts from the best of these
             finish("fine_tune", STUDY, lens=f"singlet-{name}", measured_name="small", seed=0)
     for lens, name in verification(STUDY).measured:
@@ -71,8 +72,9 @@ def test_predictions_are_kept(finished):
     labels = json.loads(outputs("images", STUDY).test_labels.read_text())
     assert [row["image"] for row in rows] == [str(k) for k in range(20)]
     assert [row["label"] for row in rows] == [labels["classes"][k] for k in labels["labels"]]
-    means = [100 * sum(int(row[f"field{k}"]) for row in rows) / 20 for k in range(9)]
+    means = [100 * sum(int(row[f"field{k}"]) for row in rows) / 20 for k in range(16)]
     assert means == pytest.approx(accuracies(measured_path("metrics", "singlet-imaging1")))
+    assert {*rows[0]} == {"image", "label", *(f"field{k}" for k in range(16)), "corner0"}
     assert list(read_rows(measured_path("predictions", "sharp"))[0]) == ["image", "label", "field0"]
 
 

@@ -60,9 +60,9 @@ def measures(*measured_names: str):
 
 READERS = [
     ("fine_tuning.learning_rate", 3e-3, lambda job: job[0] == "fine_tune"),
-    ("images.seed", 5, lambda job: job == ("images",)),
-    ("evaluation_rays", 128, lambda job: job[0] in ("psf_tail_table", "design")),
-    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail_table", "design", "production")),
+    ("images.seed", 5, lambda job: job[0] in ("images", "design")),
+    ("evaluation_rays", 128, lambda job: job[0] in ("psf_tail_table", "design", "psfs")),
+    ("spec.pixel_pitch_um", 2.0, lambda job: job[0] in ("psf_tail_table", "design", "psfs", "production")),
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
     ("designs.imaging1.descents.0.steps", 4,
@@ -128,12 +128,14 @@ def test_a_design_by_contrast_waits_for_no_images():
 
 
 def test_diffraction_changes_no_design():
-    """It adds one job per lens; training, restoration and measurement use its PSFs."""
+    """It changes the PSFs of every lens; training, restoration and measurement use these."""
     study = parse(changed(tiny_study(), "capture", {"diffraction": True}))
     before, after = slices(tiny_study()), slices(changed(tiny_study(), "capture", {"diffraction": True}))
-    assert {job for job in after if job not in before} == {("diffraction", lens) for lens in study.lenses}
     assert all(after[job] == before[job] for job in before if job[0] == "design")
-    psf = lens_file("tiny", "singlet-imaging1", name="psf_diffraction.safetensors")
+    assert {job for job in after if job[0] == "psfs" and after[job] != before[job]} == {
+        ("psfs", lens) for lens in [*study.lenses, *study.variants]
+    }
+    psf = lens_file("tiny", "singlet-imaging1", name="psf.safetensors")
     for rule, wildcards in (("fine_tune", {"measured_name": "small"}), ("restore", {})):
         assert psf in job_of(rule, study, lens="singlet-imaging1", seed=0, **wildcards).reads
     with pytest.raises(StudyError, match="tolerances: built lenses have no diffraction"):
@@ -319,11 +321,12 @@ def test_a_joint_design_is_task_driven_unless_it_comes_from_flat_plates():
 
 
 def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone():
-    """It changes designs, tails and verified focal lengths of doublets, which are then no baselines of singlets."""
+    """Designs, PSFs, tails and verified focal lengths of doublets change; these are then no baselines of singlets."""
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     before, after = slices(study), slices(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     changed_jobs = {job for job in before if before[job] != after[job]}
-    doublets = {job for job in before if job[0] in ("design", "production") and job[1].startswith("doublet")}
+    of_a_lens = "design", "psfs", "production"
+    doublets = {job for job in before if job[0] in of_a_lens and job[1].startswith("doublet")}
     assert changed_jobs == doublets | {("psf_tail_table",), ("verdicts_table",), ("verify",), ("report_page",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
     efl_mm = tables.verification(both).efl_mm
@@ -372,7 +375,7 @@ def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_p
 
     def work(settings: LensDesign, train: Sequence[Path], weights: Path | None, files: Sequence[Path],
              candidates: Sequence[Path], starts: Sequence[Path], metrics: Sequence[Path], lens: Path, history: Path,
-             psf: Path, checkpoint: Checkpoint):  # fmt: skip
+             checkpoint: Checkpoint):  # fmt: skip
         arguments.update(locals())
         write(checkpoint.path, "")
 
@@ -384,6 +387,6 @@ def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_p
         and arguments["files"] == []
     )
     assert arguments["starts"] == [lens_file("tiny", name, 4) for name in tables.starts(study, lens)]
-    assert arguments["psf"] == lens_file("tiny", lens, 4, "psf.safetensors")
+    assert arguments["history"] == lens_file("tiny", lens, 4, "history.csv")
     assert re.fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", arguments["checkpoint"].path.name)
     assert list(folder.iterdir()) == [another]

@@ -193,7 +193,8 @@ def test_a_study_makes_the_table_and_the_page_of_each_lens(tmp_path, monkeypatch
     finish("images", study)
     finish("reference", study, classifier="small")
     for lens in ("singlet-imaging1", "singlet-imaging2"):
-        finish("design", study, lens=lens, seed=0)
+        for rule in ("design", "psfs"):
+            finish(rule, study, lens=lens, seed=0)
         finish("fine_tune", study, lens=lens, measured_name="small", seed=0)
         paths = finish("production", study, lens=lens, seed=0)
         assert len(read_rows(paths.lenses)) == 11

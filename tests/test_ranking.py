@@ -112,12 +112,13 @@ def rank(lens: str, group: int, accuracy: float, low: float, high: float) -> Ran
     return Rank(lens, group, accuracy, 0, 0, 0, low, high, ())
 
 
-def test_the_columns_of_axis_and_corner_are_those_of_the_angles():
-    """Fields may be in any order."""
+def test_the_columns_of_axis_and_corner_are_those_of_the_nine_fields():
+    """The accuracy is that of the 16 fields between them."""
     first = Rank("a", 1, 60, 0, 0, 0, 50, 70, (40.0, 80.0, 60.0))
-    figures = {"angle_deg": [30.0, 0.0, 20.0], "f_number": 2.0, "rms_centroid_um": [3.0, 1.0, 2.0]}
-    row = ranking.row(first, "A", figures, 60.0)
-    assert (row["accuracy_axis"], row["accuracy_corner"]) == (80.0, 40.0)
+    at_nine = pandas.DataFrame([[1] * 8 + [0], [1] * 4 + [0] * 5])
+    row = ranking.row(first, "A", at_nine, 2.0, 60.0, 3.0)
+    assert (row["accuracy_axis"], row["accuracy_corner"]) == (100.0, 0.0)
+    assert row["accuracy_at_nine"] == pytest.approx(100 * 12 / 18) and row["accuracy"] == 60
 
 
 @pytest.mark.parametrize("scaled", [True, False])

@@ -61,7 +61,7 @@ def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
 
 
 def test_a_lens_is_brought_back_within_its_limits(spot_lens):
-    """Spots stay where they are within 20 um, while elements get thick enough and steep flanks flat enough."""
+    """Spots stay where they are within 25 um, while elements get thick enough and steep flanks flat enough."""
     margins = manufacturing_margins(spot_lens, LIMITS, clear_semi_diameters(spot_lens, VIEW))
     limits = LIMITS.model_copy(
         update={
@@ -77,7 +77,7 @@ def test_a_lens_is_brought_back_within_its_limits(spot_lens):
     assert worst(spot_lens) < -0.019 and worst(repaired) > 0
     merit = RaySpace(spot_lens, VIEW, NO_LIMITS).merit
     before, after = (merit.residuals(item)[: merit.rays] for item in (spot_lens, repaired))
-    assert float((after - before).norm()) < 20
+    assert float((after - before).norm()) < 25
     assert worst_margin(manufacturing_margins(repaired, limits, clear))[1] > 0
     again, _ = repair(repaired, VIEW, limits)
     assert torch.equal(again.curvature, repaired.curvature)
@@ -166,7 +166,7 @@ def test_a_repair_that_cannot_succeed_ends_at_the_smallest_violation(spot_lens, 
         return model
 
     monkeypatch.setattr(RaySpace, "linearise", recorded)
-    lens, _ = ray_space._repaired(spot_lens, VIEW, impossible, None)
+    lens = ray_space._repaired(spot_lens, VIEW, impossible, None)
     least = min(norms)
     space = RaySpace(lens, VIEW, impossible)
     assert space.linearise(space.start).violation_norm == pytest.approx(least, rel=1e-6) and least > 0.1

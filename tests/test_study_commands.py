@@ -55,7 +55,7 @@ def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
     assert study("plan", "study.yaml", "--target", "table1", "--json") == 0
     (plan,) = json.loads(capsys.readouterr().out)["points"]
     counts = {stage: len(jobs["missing"]) for stage, jobs in plan["jobs"].items()}
-    assert counts == {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
+    assert counts == {"images": 1, "reference": 1, "design": 1, "psfs": 1, "fine_tune": 2, "table": 1}
     assert plan["jobs"]["design"]["missing"] == ["design/singlet-imaging1-seed0"]
     assert plan["seconds"] > 0 and plan["memory_mb"] >= 1000 and plan["changed"] == []
     assert plan["disk_mb"] == pytest.approx(70 * 3 * 16**2 / 1e6)

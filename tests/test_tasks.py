@@ -270,13 +270,14 @@ def test_a_study_of_tasks(tmp_path, monkeypatch):
     study = parse(tiny_study() | {"tasks": section})
     finish("scenes", study)
     finish("images", study)
-    finish("design", study, lens="singlet-imaging1", seed=0)
+    for rule in ("design", "psfs"):
+        finish(rule, study, lens="singlet-imaging1", seed=0)
     for task in networks:
         finish("task_reference", study, task=task)
         for lens in ("sharp", "singlet-imaging1"):
             paths = finish("task_fine_tune", study, lens=lens, task=task, seed=0)
             rows = read_rows(paths.metrics)
-            assert {row["field"] for row in rows} == ({"0"} if lens == "sharp" else set(map(str, range(9))))
+            assert {row["field"] for row in rows} == ({"0"} if lens == "sharp" else set(map(str, range(16))))
             assert {row["tuned"] for row in rows} == {"True", "False"}
             message = outcome("task_fine_tune", [*map(str, vars(paths).values())], Path("no.log"))
             assert message.startswith("miou" if task == "pixels" else "box_ap")

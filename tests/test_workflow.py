@@ -85,7 +85,7 @@ def test_a_flag_is_true_or_false(tmp_path):
 @pytest.mark.parametrize("target", ["tables", "verify"])
 def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
     """18 lenses of the default study, not all 24: nothing else waits for those of end-to-end design."""
-    one = {"images": 1, "reference": 1, "table": 1, "verdicts_table": 1, "design": 18, "fine_tune": 19}
+    one = {"images": 1, "reference": 1, "table": 1, "verdicts_table": 1, "design": 18, "psfs": 18, "fine_tune": 19}
     others = {"reproduce": 19}
     if target == "tables":  # a page of the doublets, one of doublets and triplets, and the whole one
         one |= {"table": 3, "verdicts_table": 3}
@@ -121,7 +121,7 @@ def test_task_driven_designs_wait_for_what_they_need(tmp_path):
     assert plan(tmp_path, tiny_study(), lens.format("imaging1")) == {"design": 1}
     supervised = {"images": 1, "reference": 1, "design": 1}
     assert plan(tmp_path, tiny_study(), lens.format("tasklens")) == supervised
-    baselines = {"images": 1, "reference": 1, "design": 4, "fine_tune": 3}
+    baselines = {"images": 1, "reference": 1, "design": 4, "psfs": 3, "fine_tune": 3}
     assert plan(tmp_path, tiny_study(), lens.format("end_to_end_from_imaging")) == baselines
 
 
