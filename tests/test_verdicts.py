@@ -11,7 +11,7 @@ from examples import changed, lens_file, measurement, measurements_of, read_rows
 from rules import finish
 from study_results import IMAGES, write_results
 
-from tasklens.report import verdicts
+from tasklens.report import answers_file, verdicts
 from tasklens.report.bootstrap import holm
 from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
 from tasklens.runtime.files import FileError
@@ -282,6 +282,52 @@ def test_files_of_the_verdicts_agree():
     assert all(
         row["lens"] in line and row["claim"] in line for row, line in zip(read_rows(paths.csv), body, strict=True)
     )
+
+
+# ---- at other fields
+
+
+def with_fields(study, lens, name, right, seed: int = 0) -> None:
+    """Add columns of answers at a set of fields to the predictions of a lens, correct for a fraction of the images."""
+    path = measurement(study.name, lens, "small", seed, "-predictions")
+    columns = {f"{name}{k}": (numpy.arange(IMAGES) < right * IMAGES).astype(int) for k in range(9)}
+    pandas.read_csv(path).assign(**columns).to_csv(path, index=False)
+
+
+def test_differences_at_the_nine_fields_stand_beside_those_of_the_grading(tmp_path):
+    """If all lenses were measured there; also from a file of answers. A claim about failure has none."""
+    study = parse(yaml.safe_load(dump(study_of(1, doublet=DOUBLET))) | {"tables": ["table1", "table3"]})
+    write_results(study, by_design(tasklens=0.6, imaging1=0.5))
+    own = claims.claims(study)
+    lenses = sorted({key.lens for key in own.measured_keys} - {"sharp"})
+    for lens in lenses[:-1]:
+        with_fields(study, lens, "nine", 0.8 if lens == "doublet-tasklens" else 0.5)
+    assert list(collect(study)) == verdicts.COLUMNS
+    with_fields(study, lenses[-1], "nine", 0.8)
+    assert lenses[-1] == "doublet-tasklens"
+    rows = collect(study)
+    assert list(rows) == [*verdicts.COLUMNS, *verdicts.AT_NINE]
+    row = rows.set_index("claim").loc[OVER_IMAGING1]
+    assert row["difference"] == pytest.approx(10, abs=3) and row["difference_at_nine"] == pytest.approx(30)
+    assert row["low_at_nine"] < 30 < row["high_at_nine"]
+    assert rows.set_index("claim").loc[FLAT_FAILS, verdicts.AT_NINE].isna().all()
+    answers_file.write(tmp_path / "verdicts.npz", own, measurements_of(study.name, own))
+    pandas.testing.assert_frame_equal(verdicts.collect(*answers_file.read(tmp_path / "verdicts.npz")), rows)
+    assert "at nine fields" in finish("verdicts_table", study).md.read_text()
+
+
+@pytest.mark.parametrize("fields", ["design", "nine"])
+def test_a_lens_fitted_to_the_fields_of_its_design_is_named(fields):
+    """If it was measured there, and is better there than between them."""
+    study = study_of(1, doublet=DOUBLET)
+    write_results(study, by_design(tasklens=0.6, imaging1=0.6))
+    for lens, right in (("doublet-tasklens", 0.9), ("doublet-imaging1", 0.5)):
+        with_fields(study, lens, fields, right)
+        path = measurement(study.name, lens, "small")
+        path.write_text(path.read_text() + "".join(f"accuracy_at_design_fields,{k},90\n" for k in range(9)))
+    text = finish("verdicts_table", study).md.read_text()
+    words = "doublet-tasklens, small, seed 0 is fitted to the fields of its design: 90.0 % there, "
+    assert words in text and text.count("is fitted to") == 1
 
 
 # ---- where it pays
