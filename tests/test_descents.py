@@ -270,7 +270,7 @@ def test_a_lens_far_outside_its_limits_is_the_best_only_if_all_are(start, monkey
 
     def validate() -> tuple[bool, float]:
         loss, violation = next(validations)
-        monkeypatch.setattr(descent, "_validation_loss", lambda vector: loss)
+        monkeypatch.setattr(descent, "_validation_loss", lambda vector, far: loss)
         monkeypatch.setattr(descent.optimizer, "violation", lambda: violation)
         descent._validate()
         return descent.least

@@ -8,15 +8,25 @@ from designs import LIMITS, NO_LIMITS, VIEW, image_error, problem, task_design, 
 from examples import by_descents, changed, materials, tiny_study
 
 from tasklens.design import descents, least_squares, methods, optimizers, ray_space
-from tasklens.design.constraints import all_margins, first_order_margins, manufacturing_margins, worst_margin
-from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, repair
+from tasklens.design.constraints import (
+    all_margins,
+    first_order_margins,
+    limit_margins,
+    manufacturing_margins,
+    worst_margin,
+)
+from tasklens.design.criteria import SpotRadius
+from tasklens.design.descent import Descent
+from tasklens.design.problem import Problem
+from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, as_saved, repair
 from tasklens.design.start import flat
+from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_rays, clear_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.io import prescription
 from tasklens.optics.view import view_of_spec
-from tasklens.study.design_settings import DescentSettings
+from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.study.loading import parse
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
@@ -50,14 +60,31 @@ def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
     """Validation and the end of a descent use this size; on the way, a lens may violate limits."""
     weights, step = [], LinearModel.step
 
-    def record(model, gradient, step_size, damping, weight):
-        weights.append(weight)
+    def record(model, gradient, step_size, damping, weight=SOFT):
+        if gradient.any():  # not the repair of a lens that is validated
+            weights.append(weight)
         return step(model, gradient, step_size, damping, weight)
 
     monkeypatch.setattr(LinearModel, "step", record)
     part = DescentSettings(steps=6, pixels=(20, 5), duration=0.5, criterion="log_image_error")
     by_descents(start, image_error, problem(), part)
     assert weights == 3 * [SOFT] + 3 * [HARD]
+
+
+def test_lenses_are_validated_as_they_are_saved(spot_lens):
+    """A lens 0.02 beyond a limit on slopes is not the best of a descent for what its repair takes away."""
+    margin = float(manufacturing_margins(spot_lens, LIMITS, clear_semi_diameters(spot_lens, VIEW))["max_slope"].min())
+    limits = LIMITS.model_copy(update={"max_slope": LIMITS.max_slope - margin - 0.02})
+    part = DescentSettings(steps=1, criterion="spot")
+    supervisor = Supervisor(SpotRadius(), Problem(VIEW, limits, 0), None, False, 36)
+    descent = Descent(spot_lens, supervisor, GradientDesignSettings(descents=[part], rays=32), part, seed=0)
+    numbers, _ = descent.step(1)
+    saved = as_saved(spot_lens, VIEW, limits)
+    assert worst_margin(limit_margins(spot_lens, limits, VIEW, clear_semi_diameters(spot_lens, VIEW)))[1] < -0.01
+    assert worst_margin(limit_margins(saved, limits, VIEW, saved.semi_diameter))[1] >= 0
+    last = numbers["validation_loss"]  # that of the last step; the best of both is kept
+    assert descent.least == (False, min(last, supervisor.validation_loss(saved, 1.0)))
+    assert supervisor.validation_loss(spot_lens, 1.0) != pytest.approx(supervisor.validation_loss(saved, 1.0), rel=1e-3)
 
 
 def test_a_lens_is_brought_back_within_its_limits(spot_lens):

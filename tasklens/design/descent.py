@@ -13,6 +13,7 @@ from torch import Tensor
 
 from tasklens.design.optimizers import LEEWAY_MM, OPTIMIZERS
 from tasklens.design.problem import History
+from tasklens.design.ray_space import as_saved
 from tasklens.design.schedule import geometric
 from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -111,12 +112,12 @@ class Descent:
 
     def _validate(self) -> float:
         """Compute the loss of the current lens on the fixed images, and remember the lens if it is the best."""
-        vector = self.optimizer.vector().detach().clone()
-        loss = self._validation_loss(vector)
+        vector, violation = self.optimizer.vector().detach().clone(), self.optimizer.violation()
+        far = not violation <= LEEWAY_MM  # also if it is not a number
+        loss = self._validation_loss(vector, far)
         if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
-            self.least = self.least[0], self._validation_loss(self.best)
-        violation = self.optimizer.violation()
-        score = violation > LEEWAY_MM, loss
+            self.least = self.least[0], self._validation_loss(self.best, self.least[0])
+        score = far, loss
         if math.isfinite(loss + violation) and score <= self.least:  # a NaN lens has a finite loss
             self.least, self.best, self.failures = score, vector, 0
             return loss
@@ -126,8 +127,12 @@ class Descent:
             self.optimizer.go_back(self.best)
         return loss
 
-    def _validation_loss(self, vector: Tensor) -> float:
-        return self.supervisor.validation_loss(self.optimizer.lens(vector), self.settings.pixels[1])
+    def _validation_loss(self, vector: Tensor, far: bool) -> float:
+        """Compute the loss of a lens as it is saved: 0.01 mm beyond a limit can be worth more than a descent gains."""
+        lens, problem = self.optimizer.lens(vector).detached(), self.supervisor.problem
+        if not far:
+            lens = as_saved(lens, problem.view, problem.limits, problem.free)
+        return self.supervisor.validation_loss(lens, self.settings.pixels[1])
 
     def state(self) -> dict[str, Any]:
         """Return the best variables, and the count of validations."""

@@ -20,9 +20,8 @@ import torch
 from tasklens.design.criteria import Criterion
 from tasklens.design.descent import Descent, run
 from tasklens.design.problem import History, Problem
-from tasklens.design.ray_space import repair
+from tasklens.design.ray_space import as_saved
 from tasklens.design.supervision import Supervisor
-from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
@@ -91,8 +90,8 @@ def design(
         return Supervisor(measure, problem, *options)
 
     def selection_loss(selector: Supervisor, lens: Lens) -> float:
-        repaired = with_clear_apertures(*repair(lens, problem.view, problem.limits, problem.free))
-        return selector.selection_loss(repaired, settings.descents[-1].pixels[1])
+        saved = as_saved(lens, problem.view, problem.limits, problem.free)
+        return selector.selection_loss(saved, settings.descents[-1].pixels[1])
 
     origin: dict[str, Any] = {}
     losses: dict[str, float] = {}

@@ -18,6 +18,7 @@ from torch import Tensor
 from tasklens.design.constraints import limit_margins, worst_margin
 from tasklens.design.merit import Merit, limit_semi_diameters
 from tasklens.design.variables import Free, Variables
+from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.study.settings import Constraints
@@ -133,6 +134,11 @@ def repair(lens: Lens, view: View, limits: Constraints, free: Free | None = None
         lens = _repaired(lens, view, targets, free)
         radii = limit_semi_diameters(lens, view)
     return lens, radii
+
+
+def as_saved(lens: Lens, view: View, limits: Constraints, free: Free | None = None) -> Lens:
+    """Return a lens as its file will hold it: repaired, and with its missing clear apertures."""
+    return with_clear_apertures(*repair(lens, view, limits, free))
 
 
 def _repaired(lens: Lens, view: View, limits: Constraints, free: Free | None) -> Lens:
