@@ -359,7 +359,11 @@ def test_apertures_of_limits_pass_the_light_of_all_fields():
 # ---- losses of designs
 
 
-@pytest.mark.parametrize("criterion", [SpotRadius(), Contrast(), TaskLoss(tiny_network().eval())], ids=repr)
+@pytest.mark.parametrize(
+    "criterion",
+    [SpotRadius(), Contrast(), TaskLoss(tiny_network().eval())],
+    ids=lambda criterion: type(criterion).__name__,
+)
 def test_each_step_sees_other_fields(start, criterion):
     """Drawn by the seed of the step; a list is the same in all of them, and in validation."""
 
