@@ -21,7 +21,7 @@ def one_lens() -> dict:
     return study | {"designs": {"imaging1": study["designs"]["imaging1"]}}
 
 
-STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "fine_tune": 2, "table": 1}
+STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "psfs": 1, "fine_tune": 2, "table": 1}
 
 
 @pytest.fixture(scope="module")
@@ -30,10 +30,10 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     process = snakemake(folder, one_lens(), "table1")
     assert process.returncode == 0, process.stdout + process.stderr
-    assert "Study tiny: 6 jobs" in process.stdout and "results/tiny/tables/table1.md" in process.stdout
+    assert "Study tiny: 7 jobs" in process.stdout and "results/tiny/tables/table1.md" in process.stdout
     assert "Building DAG" not in process.stderr
-    ends = [line.split()[0] for line in process.stderr.splitlines() if "/6  " in line]
-    assert ends == [f"{k}/6" for k in range(1, 7)], process.stderr
+    ends = [line.split()[0] for line in process.stderr.splitlines() if "/7  " in line]
+    assert ends == [f"{k}/7" for k in range(1, 8)], process.stderr
     return folder
 
 
@@ -114,9 +114,9 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     (report,) = json.loads(capsys.readouterr().out)["points"]
     assert report["changed"] == ["spec.f_number: 2.8 -> 2.0"]
     again = {stage: len(jobs["rerun"]) for stage, jobs in report["jobs"].items() if jobs["rerun"]}
-    assert again == {"design": 1, "fine_tune": 1, "table": 1}
+    assert again == {"design": 1, "psfs": 1, "fine_tune": 1, "table": 1}
     assert main(["study", "status", "results/tiny"]) == 0
-    assert "6 of 6 jobs done" in capsys.readouterr().out
+    assert "7 of 7 jobs done" in capsys.readouterr().out
 
 
 @pytest.mark.slow
@@ -125,7 +125,7 @@ def test_commands_know_what_has_run(finished, monkeypatch, capsys):
     [
         ("restoration.steps", 9, {}),
         ("fine_tuning.learning_rate", 5e-3, {"fine_tune": 2, "table": 1}),
-        ("images.seed", 4, {"images": 1, "reference": 1, "fine_tune": 2, "table": 1}),
+        ("images.seed", 4, {"images": 1, "reference": 1, "design": 1, "psfs": 1, "fine_tune": 2, "table": 1}),
     ],
     ids=lambda v: v if isinstance(v, str) else "",
 )
