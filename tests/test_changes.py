@@ -155,7 +155,7 @@ def test_what_takes_long_is_not_overwritten_without_consent():
         ("designs.imaging1.descents.0.steps", 9, {"design": 1, "fine_tune": 3}),
         ("classifiers.small.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2}),
         ("classifiers.third.training.learning_rate", 2e-3, {"reference": 1, "fine_tune": 2}),
-        ("images.seed", 4, {"reference": 3, "fine_tune": 6}),
+        ("images.seed", 4, {"design": 2, "reference": 3, "fine_tune": 6}),  # each set of images has searches of its own
         ("restoration.steps", 9, {}),
         ("tables", ["table1"], {}),
     ],

@@ -9,12 +9,13 @@ from designs import LIMITS, VIEW, problem
 from examples import by_descents, difference, f64, materials, random_images, rays_on_image
 
 from tasklens.design.criteria import Contrast, Correlation, ImageError, SpotRadius
+from tasklens.design.ray_space import as_saved
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
+from tasklens.fields import SELECTION
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition.tasks import Classification
 from tasklens.study.design_settings import DescentSettings
-from tasklens.study.fields import SELECTION
 from tasklens.study.settings import Spec
 
 KERNEL = 21
@@ -112,7 +113,8 @@ def test_contrast_alone_makes_a_lens():
     steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast()
     lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
     supervisor = Supervisor(contrast, problem(), None, False, 1)
-    before, after = (supervisor.validation_loss(candidate, 10.0) for candidate in (plates, lens))
+    saved = as_saved(lens, problem().view, LIMITS)
+    before, after = (supervisor.validation_loss(candidate, 10.0) for candidate in (plates, saved))
     assert after == pytest.approx(origin["validation_loss"], rel=1e-9) and after < 0.75 * before
 
 

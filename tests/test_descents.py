@@ -17,6 +17,7 @@ from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
+from tasklens.fields import PAPER
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.io import prescription
@@ -28,7 +29,6 @@ from tasklens.study.design_settings import (
     GradientDesignSettings,
     LeastSquaresSettings,
 )
-from tasklens.study.fields import PAPER
 from tasklens.study.layers import merged_settings
 from tasklens.study.loading import parse
 from tasklens.study.settings import Spec

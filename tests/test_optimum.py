@@ -12,10 +12,10 @@ from tasklens.design.optimum import local_optimum
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
+from tasklens.fields import PAPER
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.report.optimality import Optimum
 from tasklens.study.design_settings import DescentSettings
-from tasklens.study.fields import PAPER
 from tasklens.study.settings import Spec
 from tasklens.study.tolerance_settings import Grade
 

@@ -18,7 +18,7 @@ MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglo
 # From the ground up: a module imports only from its own room (its package) and from the floors below. A package's
 # own modules belong to its entry, the modules of a subpackage to the entry of the subpackage.
 FLOORS = [
-    ("tasklens.runtime",),
+    ("tasklens.runtime", "tasklens.fields"),
     ("tasklens.materials",),
     ("tasklens.study",),
     ("tasklens.optics",),  # rays, aspheres, surface, lens, view, psf

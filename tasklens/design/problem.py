@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from tasklens.design.variables import Free
+from tasklens.fields import SELECTION, Points
 from tasklens.optics.view import View, drawn_points
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.fields import SELECTION, Points
 from tasklens.study.settings import CaptureSettings, Constraints
 
 History = list[dict[str, Any]]  # a row per logged step of a design

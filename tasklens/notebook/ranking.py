@@ -12,6 +12,7 @@ import pandas
 import torch
 from torch import nn
 
+from tasklens.fields import GRADING, PAPER
 from tasklens.imaging import PsfCamera
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.datasheet import means
@@ -30,7 +31,6 @@ from tasklens.report.ranking import Rank
 from tasklens.runtime.devices import CPU
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_text
-from tasklens.study.fields import GRADING, PAPER
 
 
 @dataclass(frozen=True)

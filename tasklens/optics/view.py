@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from tasklens.fields import CELLS
 from tasklens.runtime.errors import InputError
-from tasklens.study.fields import CELLS
 from tasklens.study.settings import Spec
 
 _WIDEST = 10_000  # pixels of a PSF window

@@ -149,12 +149,8 @@ def _screened(
         "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
         "f_number": float(first_order.f_number),
     }
-    entry = {
-        "elements": ELEMENTS,
-        "file": str(path),
-        "catalogues": [*map(str, catalogues)],
-        "spec": lens_spec,
-    }
+    files = {"file": str(path), "catalogues": [*map(str, catalogues)]}
+    entry = {"elements": ELEMENTS, **files, "spec": lens_spec}
     spec = Spec.model_validate(sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
     lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)

@@ -8,6 +8,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from tasklens.fields import CELLS
 from tasklens.imaging import PsfCamera, psnr
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
@@ -15,7 +16,6 @@ from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 from tasklens.sensor import noise
-from tasklens.study.fields import CELLS
 
 _WORST = 0.01  # fraction of images with the lowest PSNR, averaged in `worst_psnr_db`
 _DRAW = CELLS**2  # fields of a draw

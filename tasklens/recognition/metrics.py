@@ -6,6 +6,8 @@ import pandas
 
 from tasklens.runtime.files import damaged, read_table
 
+_GRADED = ("accuracy", "zero_shot_accuracy", "psnr_db", "worst_psnr_db")  # all at the fields of the grading
+
 
 def mean_metrics(path: Path) -> dict[str, float]:
     """Read a metrics file, and return the mean over fields of every metric by name; raises FileError if damaged."""
@@ -27,7 +29,7 @@ def _values(path: Path) -> pandas.Series:
 
     Raises:
         FileError: the file is not a metrics file: it has other columns, a value is not a number, or a metric lacks a
-            field before its last one.
+            field.
     """
     try:
         rows = read_table(path)
@@ -36,7 +38,9 @@ def _values(path: Path) -> pandas.Series:
         raise damaged(path, f"not a table of metrics ({error})") from None
     if rows.empty or values.isna().any():
         raise damaged(path, "a value is missing")
-    for metric, numbers in fields.dropna().groupby(rows["metric"]):
-        if sorted(numbers) != list(range(len(numbers))):
+    by_metric = {str(metric): numbers for metric, numbers in fields.dropna().groupby(rows["metric"])}
+    graded = max((len(numbers) for metric, numbers in by_metric.items() if metric in _GRADED), default=0)
+    for metric, numbers in by_metric.items():
+        if sorted(numbers) != list(range(graded if metric in _GRADED else len(numbers))):
             raise damaged(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in sorted(numbers))}")
     return values.set_axis(pandas.MultiIndex.from_arrays([rows["metric"], fields]))

@@ -4,6 +4,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
+from tasklens.fields import SELECTION
 from tasklens.study import ablations, feasibility, fields
 from tasklens.study.design_settings import (
     DesignSettings,
@@ -74,7 +75,7 @@ def _check_fields(study: Study) -> None:
             if study.fields.grading != "paper":
                 fields.check_unseen(grading, points, where)
     if study.fields.grading != "paper":
-        fields.check_unseen(grading, fields.SELECTION, "the choice among lenses")
+        fields.check_unseen(grading, SELECTION, "the choice among lenses")
 
 
 def _check_references(study: Study, where: str, design: DesignSettings | ImportedLens) -> None:

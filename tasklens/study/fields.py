@@ -1,7 +1,6 @@
 """Fields of a study: points of the sensor that designs see, and points at which lenses are graded; no torch here.
 
-Points are fractions (u, v) of the half width and half height of the sensor. A rotationally symmetric lens sees one
-quadrant as the others. A set of the centres of equal cells is uniform in area.
+Points are fractions of the half width and half height of the sensor, as in `tasklens.fields`.
 """
 
 from math import hypot
@@ -9,24 +8,11 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from tasklens.fields import CORNER, GRADING, PAPER, SELECTION, Points
 from tasklens.study.frozen import Frozen
-
-Points = tuple[tuple[float, float], ...]
 
 _LEAST = 4  # fields of a set
 _MISSED = 0.1  # largest distance of the nearest field of a set from axis and corner [diagonals]
-
-
-def cell_centres(columns: int, rows: int) -> Points:
-    """Return the centres of a grid of equal cells over the quadrant, row by row from the axis."""
-    return tuple(((i + 0.5) / columns, (k + 0.5) / rows) for k in range(rows) for i in range(columns))
-
-
-PAPER: Points = tuple((u, v) for v in (0, 0.5, 1) for u in (0, 0.5, 1))  # of Yang et al. 2024
-CELLS = 3  # columns and rows of cells in which the fields of a step are drawn
-SELECTION = cell_centres(CELLS, CELLS)  # validate designs, and choose among lenses
-GRADING = cell_centres(4, 4)  # none of these is in SELECTION or PAPER
-CORNER: Points = ((1.0, 1.0),)
 
 
 def _checked(value: Any) -> Any:

@@ -166,14 +166,8 @@ class TailsJob(SeededLenses):
         """Return the settings of the job."""
         lenses = paper_tables.table_lenses(study)
         specs = {lens: study.lens_spec(lens) for lens in lenses}
-        return cls(
-            study=study.name,
-            lenses=lenses,
-            seeds=study.seeds,
-            specs=specs,
-            fields=study.fields.grading_points,
-            rays=study.evaluation_rays,
-        )
+        keys = {"study": study.name, "lenses": lenses, "seeds": study.seeds, "rays": study.evaluation_rays}
+        return cls(**keys, specs=specs, fields=study.fields.grading_points)
 
 
 class RegimesJob(Frozen):

@@ -12,9 +12,9 @@ from pydantic import (
     model_validator,
 )
 
+from tasklens.fields import PAPER
 from tasklens.runtime.errors import InputError
 from tasklens.study import user_code
-from tasklens.study.fields import PAPER
 from tasklens.study.frozen import Frozen
 from tasklens.study.quantities import (
     Angle,

@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from tasklens.fields import GRADING, PAPER
 from tasklens.study import names
 from tasklens.study.design_settings import GradientDesignSettings
-from tasklens.study.fields import GRADING, PAPER
 from tasklens.study.lens_entries import LensDesign
 from tasklens.study.names import SHARP
 from tasklens.study.settings import Frozen
