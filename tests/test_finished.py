@@ -17,6 +17,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from tasklens.report.page import assembly
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
+from tasklens.study import tables
 from tasklens.study.loading import parse
 from tasklens.study.names import split
 from tasklens.study.study import TABLES
@@ -153,6 +154,8 @@ def test_the_page_has_every_part(page):
     for name in STUDY.designs:
         assert f'download="singlet-{name}.yaml"' in text and f'download="singlet-{name}.zmx"' in text
     assert "Optional tables, not computed: regimes, merit function, tolerances" in text
+    curves = text.count("over the distance from the axis, in units of that of the corner")
+    assert curves == len(tables.table(STUDY, "table1").lenses)
     assert (page.parent / "answer.svg").exists() and '<table id="claims">' in text
     for name in STUDY.designs:  # the names of designs are explained, below the answer and on hover
         assert f"<dt>{name}</dt>" in text and re.search(rf'<td title="[^"]+"[^>]*>{name}</td>', text), name

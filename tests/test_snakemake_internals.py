@@ -40,7 +40,7 @@ def test_the_jobs_of_a_run(tmp_path, monkeypatch):
     before = jobs("table1")
     assert all(job["remains"] and not job["outputs"] and job["made_with"] is None for job in before.values())
     needs = before["fine_tune/singlet-imaging1-small-seed0"]["needs"]
-    assert sorted(needs) == ["design/singlet-imaging1-seed0", "images", "reference/small"]
+    assert sorted(needs) == ["images", "psfs/singlet-imaging1-seed0", "reference/small"]
     assert snakemake(tmp_path, study, lens).returncode == 0
     design = jobs("table1")["design/singlet-imaging1-seed0"]
     assert not design["remains"] and lens in design["outputs"]
