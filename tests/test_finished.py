@@ -210,7 +210,9 @@ def test_every_picture_has_loaded_and_says_what_it_shows(opened):
     script = "return [...document.images].map(i => [i.complete && i.naturalWidth > 0, i.alt.trim()])"
     images = opened.execute_script(script)
     captures = read_rows(outputs("captures", STUDY).answers)  # of one network: a row per image
-    assert len(images) == 1 + len(captures) + len(STUDY.designs) * len(("section", "spots", "psfs", "curves")) >= 30
+    of_lenses = len(STUDY.designs) * len(("section", "spots", "psfs", "curves"))
+    by_radius = len(tables.table(STUDY, "table1").lenses)
+    assert len(images) == 1 + len(captures) + of_lenses + by_radius >= 30
     assert all(loaded and len(words) > 10 for loaded, words in images)
     charts = opened.find_elements(By.CLASS_NAME, "chart")
     assert all(len(chart.get_attribute("aria-label")) > 40 for chart in charts)

@@ -11,18 +11,18 @@ from pydantic import BeforeValidator, Field, model_validator
 from tasklens.fields import CORNER, GRADING, PAPER, SELECTION, Points
 from tasklens.study.frozen import Frozen
 
+NAMED = ("sensor", "paper")  # sets that have a name
 _LEAST = 4  # fields of a set
 _MISSED = 0.1  # largest distance of the nearest field of a set from axis and corner [diagonals]
 
 
 def _checked(value: Any) -> Any:
     """Check a set of fields: a word, or a list of [x, y] from 0 to 1."""
-    words = ("sensor", "paper")
-    if isinstance(value, str) and value in words:
+    if isinstance(value, str) and value in NAMED:
         return value
     if not isinstance(value, list | tuple) or not all(_is_point(point) for point in value):
         raise ValueError(
-            f"expected {' or '.join(words)}, or a list of [x, y], fractions of the half width and half height"
+            f"expected {' or '.join(NAMED)}, or a list of [x, y], fractions of the half width and half height"
         )
     if len(value) < _LEAST:
         raise ValueError(f"expected at least {_LEAST} fields, found {len(value)}")

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from tasklens.study.fields import NAMED
 from tasklens.study.learning_rates import PRESETS
 from tasklens.study.loading import EXTENDS
 from tasklens.study.study import Study
@@ -11,7 +12,7 @@ _PLACE, _CHANGES = "#/$defs/", "Changed"  # prefix of the definitions of a study
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema of a study file, in which materials may be files, and rates and grades may be names.
+    """Return the JSON schema of a study file, in which materials may be files; rates, grades and fields may be names.
 
     A file with `extends` may have any part of a study; null removes an entry, and a mapping with the numbers of entries
     changes a list.
@@ -23,7 +24,7 @@ def schema() -> dict[str, Any]:
     materials = study["properties"]["materials"]
     by_name = {key: materials.pop(key) for key in ("type", "additionalProperties")}
     materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, by_name]
-    for name, presets in (("LearningRates", PRESETS), ("Grade", GRADES)):
+    for name, presets in (("LearningRates", PRESETS), ("Grade", GRADES), ("FieldSettings", NAMED)):
         definitions[name] = {"anyOf": [{"enum": list(presets)}, definitions[name]]}
     changes = _partial(study)
     changes["properties"]["extends"] = {"type": "string", "description": EXTENDS}
