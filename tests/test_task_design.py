@@ -281,9 +281,10 @@ def test_a_network_that_changes_halves_no_step(start):
     assert len({row["step_size_um"] for row in rows}) == 1
 
 
-def test_a_joint_design_begins_with_the_best_start(start, spot_lens, monkeypatch):
-    """The best start has the highest accuracy; no candidates compete with it."""
-    joint = {"start": ["imaging1", "imaging2"], "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
+@pytest.mark.parametrize("names, rate", [(["imaging1", "imaging2"], 1e-3), ("best_imaging", None)])
+def test_a_design_begins_with_the_most_accurate_start(start, spot_lens, monkeypatch, names, rate):
+    """With a trained network no other lens competes; with a frozen one the start remains if it is not improved."""
+    joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": rate}]}
     study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
     study = parse(changed(study, "designs.joint", joint))
     design_settings, calls = lens_design(study, "doublet-joint", 0), []
@@ -297,7 +298,9 @@ def test_a_joint_design_begins_with_the_best_start(start, spot_lens, monkeypatch
     with pytest.raises(Called):
         methods.design(design_settings, tiny_network(), None, starts, {})
     ((begin, candidates),) = calls
-    assert torch.equal(begin.curvature, spot_lens.curvature) and not candidates
+    assert torch.equal(begin.curvature, spot_lens.curvature)
+    assert list(candidates) == ([] if rate else ["doublet-imaging2"])
+    assert all(torch.equal(lens.curvature, spot_lens.curvature) for lens in candidates.values())
 
 
 class Called(Exception):

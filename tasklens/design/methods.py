@@ -104,11 +104,12 @@ def design(
                 return Contrast()
         return ImageError(logarithm=part.criterion == "log_image_error")
 
+    start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
     if starts:
-        origin["start"] = max(starts, key=lambda name: starts[name][1])
-        start = _prepared_start(starts[origin["start"]][0], settings.keep_apertures)
-    else:
-        start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
+        best = origin["start"] = max(starts, key=lambda name: starts[name][1])
+        start = _prepared_start(starts[best][0], settings.keep_apertures)
+        if not settings.descents[-1].trains_network:  # then the start is the result if the descents do not improve it
+            candidates = {best: starts[best][0]}
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
     with nullcontext() if plan.entry.reads_images else single_thread():  # without images all tensors are small
         lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
