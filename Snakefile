@@ -26,3 +26,16 @@ include: "workflow/rules/figures.smk"
 include: "workflow/rules/tables.smk"
 include: "workflow/rules/targets.smk"
 include: "workflow/rules/runs.smk"
+
+
+rule tables:
+    """All tables of the study, their verdicts, and the page."""
+    default_target: True  # here, because Snakemake forgets that of an included file
+    input:
+        [path_of(rules.table.output.csv, s, table=table.name) for s in POINTS for table in paper_tables.tables(s)],
+        at_points(rules.verdicts_table.output.csv),
+        at_points(rules.psf_tail_table.output.csv),
+        at_points(rules.effort_table.output.csv),
+        at_points(rules.report_page.output.report),
+        lambda _: [path_of(rules.report_page.output.report, part) for part in parts(STUDY)],
+        path_of(rules.sweep_table.output.csv, STUDY) if STUDY.sweep else [],

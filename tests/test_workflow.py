@@ -60,6 +60,13 @@ def test_single_values_change_the_default_study(beside_config):
     assert plan(beside_config, None, "tables", "--config", "seeds=[3, 4]") == expected(study)
 
 
+def test_without_a_target_the_tables_are_made(tmp_path):
+    """Snakemake forgets the default target of an included file."""
+    study = tiny_study()
+    del study["classifiers"]["other"]
+    assert plan(tmp_path, study) == expected(parse(study)) | {"tables": 1}
+
+
 def test_tables_without_lenses_are_left_out(tmp_path):
     """Least squares alone has no rows in the table of end-to-end designs."""
     study = tiny_study() | {"designs": {"imaging2": {"method": "least_squares"}}}
