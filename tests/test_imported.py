@@ -5,12 +5,14 @@ from pathlib import Path
 
 import pytest
 import torch
+from designs import tiny_network
 from examples import (
     changed,
     cooke_triplet,
     f64,
     make_lens,
     parallel_rays,
+    random_images,
     random_lens,
     random_rays,
     tiny_study,
@@ -19,6 +21,10 @@ from examples import (
 from reference_files import reference_files
 
 from tasklens.design import methods
+from tasklens.design.criteria import TaskLoss
+from tasklens.design.problem import Problem
+from tasklens.design.supervision import Supervisor
+from tasklens.optics.analysis.focus import refocused, shifted
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields, trace_fields_full
@@ -27,23 +33,23 @@ from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import view_of_spec
+from tasklens.recognition.training import fit as fit_network
 from tasklens.runtime.files import FileError
 from tasklens.study.lens_entries import ImportedLens
 from tasklens.study.loading import parse
-from tasklens.study.settings import Spec
+from tasklens.study.settings import Spec, TrainingSettings
 from tasklens.study.study import StudyError
 from tasklens.study.tables import lens_design
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel_size=101)
 VIEW = view_of_spec(SPEC)
+VIEW_31 = replace(VIEW, kernel_size=31)
 RAYS = 512
 
 
 def fit_lens(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
     prescription.write(folder / "given.yaml", Prescription(lens, **use), {})
-    return imported.fit(
-        ImportedLens(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number, RAYS
-    )
+    return imported.fit(ImportedLens(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number)
 
 
 # ---- another size
@@ -79,31 +85,28 @@ def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tm
     assert SPEC.efl_mm / (2 * pupil_radius) == pytest.approx(SPEC.f_number, rel=1e-8)
 
 
-def test_size_stop_and_focus_of_the_file_do_not_matter(tmp_path):
-    """A file of the same lens 7 times as large, stopped down and out of focus: the fitted lens is the same."""
+def test_size_and_stop_of_the_file_do_not_matter(tmp_path):
+    """A file of the same lens 7 times as large, stopped down and out of focus: it is as much out of focus as before."""
     expected, notes = fit_lens(tmp_path, cooke_triplet())
     large = cooke_triplet().scaled(7.0).with_stop_scaled(0.4)
     large.thickness[-1] += 1.5
     refitted, large_notes = fit_lens(tmp_path, large, object_distance_mm=800.0)
     for name in ("curvature", "conic", "alpha", "semi_diameter"):
         torch.testing.assert_close(getattr(refitted, name), getattr(expected, name), rtol=1e-12, atol=0)
-    torch.testing.assert_close(refitted.thickness, expected.thickness, rtol=0, atol=1e-6)
+    moved = shifted(expected, 1.5 * large_notes["scale"]).thickness
+    torch.testing.assert_close(refitted.thickness, moved, rtol=0, atol=1e-6)
     assert (refitted.media, refitted.stop) == (expected.media, expected.stop)
     assert large_notes["scale"] == pytest.approx(notes["scale"] / 7, rel=1e-12)
     assert large_notes["file_efl_mm"] == pytest.approx(7 * notes["file_efl_mm"], rel=1e-12)
     assert (notes["file_object_distance_mm"], large_notes["file_object_distance_mm"]) == (None, 800.0)
-    shift = notes["image_plane_shift_mm"] - large_notes["image_plane_shift_mm"]
-    assert shift == pytest.approx(1.5 * large_notes["scale"], abs=1e-6)
 
 
 def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
     """Tracing through to planes on both sides, near and far, gives larger means; single fields differ."""
-    lens, _ = fit_lens(tmp_path, cooke_triplet())
+    lens = refocused(fit_lens(tmp_path, cooke_triplet())[0], VIEW, "spot")
 
     def rms(shift: float) -> torch.Tensor:
-        thickness = lens.thickness.clone()
-        thickness[-1] += shift
-        rays = trace_fields(replace(lens, thickness=thickness), VIEW, sobol_disc(RAYS, 0))
+        rays = trace_fields(shifted(lens, shift), VIEW, sobol_disc(RAYS, 0))
         return rms_spot_radius(rays, centroid(rays))
 
     best = float(rms(0.0).mean())
@@ -116,10 +119,10 @@ def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
 # ---- notes of a finished lens
 
 
-def settings_of(folder: Path, lens: Lens, **spec):
+def settings_of(folder: Path, lens: Lens, focus: str | None = "file", **spec):
     """Settings of the design of a lens in a file, as a study declares them."""
     prescription.write(folder / "given.yaml", Prescription(lens), {})
-    entry = {"elements": "triplet", "file": str(folder / "given.yaml")}
+    entry = {"elements": "triplet", "file": str(folder / "given.yaml"), "focus": focus}
     study = changed(
         changed(tiny_study(), "imported.cooke", entry),
         "spec",
@@ -133,13 +136,51 @@ def test_a_finished_imported_lens(tmp_path):
     settings = settings_of(tmp_path, cooke_triplet())
     lens, notes, history, _ = methods.design(settings, None, None, {}, {})
     assert history == []
-    before, fit = imported.fit(settings.entry.design, VIEW, SPEC.f_number, RAYS)
-    assert notes["origin"] == {"design": "cooke", "method": "file"} | fit
+    before, fit = imported.fit(settings.entry.design, VIEW, SPEC.f_number)
+    focus = {"focus": "file", "image_plane_shift_mm": 0.0}
+    assert notes["origin"] == {"design": "cooke", "method": "file"} | fit | focus
     assert fit["file"] == str(tmp_path / "given.yaml")
     assert len(notes["margins"]) == 9 and lens.semi_diameter.isfinite().all()
     assert torch.equal(lens.thickness, before.thickness)
     valid = [trace_fields(candidate, VIEW, sobol_disc(RAYS, 0)).valid for candidate in (before, lens)]
     assert torch.equal(*valid)
+
+
+def test_the_network_sets_the_focus_of_a_scaled_lens(tmp_path):
+    """Its loss on training images is no larger than at the peak of the MTF; in the plane of the file it is larger."""
+    images, network = random_images(12, 16, 3, seed=0), tiny_network()
+    fit_network(network, images, TrainingSettings(epochs=60, learning_rate=1e-2, batch_size=12), 0, "sharp")
+    settings = settings_of(tmp_path, shifted(cooke_triplet(), 1.5), focus=None, kernel_size=31)
+    lens, notes, *_ = methods.design(settings, network, images, {}, {})
+    problem = Problem(VIEW_31, settings.constraints, settings.seed, settings.capture, images)
+    supervisor = Supervisor(TaskLoss(network), problem, None, False, 36, "chief_ray")
+    given = fit_lens(tmp_path, shifted(cooke_triplet(), 1.5))[0]
+    own, peak, file = (
+        float(supervisor.fixed_losses(each, 1.0, slice(24)).mean()) for each in (lens, refocused(given, VIEW_31), given)
+    )
+    assert own <= peak < file
+    assert notes["origin"]["focus"] == "network"
+    assert notes["origin"]["image_plane_shift_mm"] == pytest.approx(float(lens.thickness[-1] - given.thickness[-1]))
+
+
+@pytest.mark.parametrize("focus, plane", [("file", 0.01), ("mtf", 0.0), ("spot", 0.0)])
+def test_the_image_plane_of_the_file_remains_unless_another_is_asked_for(tmp_path, focus, plane):
+    """A lens in its own size, 10 um out of focus; it needs no network."""
+    lens = shifted(
+        refocused(fit_lens(tmp_path, cooke_triplet())[0], VIEW_31, "spot" if focus == "spot" else "mtf"), 0.01
+    )
+    settings = settings_of(tmp_path, lens, focus=focus, kernel_size=31)
+    result, notes, *_ = methods.design(settings, None, None, {}, {})
+    assert float(result.thickness[-1] - lens.thickness[-1]) == pytest.approx(plane - 0.01, abs=1e-4)
+    assert notes["origin"]["focus"] == focus
+
+
+def test_a_lens_in_its_own_size_keeps_its_image_plane(tmp_path):
+    """Without `focus`; at another object distance, or scaled, the network sets it."""
+    given = fit_lens(tmp_path, cooke_triplet())[0]
+    assert imported.focus(fit_lens(tmp_path, given)[1]) == "file"
+    assert imported.focus(fit_lens(tmp_path, given, object_distance_mm=100.0)[1]) == "network"
+    assert imported.focus(fit_lens(tmp_path, given.scaled(1.01))[1]) == "network"
 
 
 def test_its_own_clear_apertures_vignette(tmp_path):
@@ -160,7 +201,7 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     energy = evaluation_psf(lens, view_of_spec(settings.spec), RAYS).sum((-2, -1))
     torch.testing.assert_close(energy, torch.ones_like(energy), rtol=0, atol=1e-12)
     assert notes["figures"]["energy_in_window"] == pytest.approx([1.0] * 9, abs=1e-12)
-    again = imported.read(settings.entry.design).lens
+    again = imported.read(settings.entry.design)[0].lens
     assert float(again.semi_diameter[0]) == 8.0  # the file's lens is not changed
 
 
@@ -173,9 +214,7 @@ def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
     }
     expected, notes = fit_lens(tmp_path, cooke_triplet(), **options)
     zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **options))
-    zemax_lens, zemax_notes = imported.fit(
-        ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), VIEW, SPEC.f_number, RAYS
-    )
+    zemax_lens, zemax_notes = imported.fit(ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), VIEW, SPEC.f_number)
     assert torch.equal(zemax_lens.thickness, expected.thickness) and zemax_lens.media == expected.media
     assert notes | {"file": ""} == zemax_notes | {"file": ""}
 
@@ -237,15 +276,17 @@ CLOSE = {"US-12032142-B2-e3": (None, 3.879), "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3
 def test_a_phone_lens_close_to_the_specification(path):
     """At F/2.8 and refocused, sharper than the Airy disc (2 um) everywhere."""
     spec = Spec()
-    lens, notes = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 4096)
+    lens, notes = imported.fit(phone(path), view_of_spec(spec), spec.f_number)
     object_distance, efl = CLOSE[path.stem]
     assert notes["file_object_distance_mm"] == object_distance and notes["file_efl_mm"] == pytest.approx(efl, abs=1e-3)
     first_order = paraxial(lens, spec.wavelengths_um[1])
     assert float(first_order.efl) == pytest.approx(2.921, abs=5e-4)
     assert float(first_order.efl / (2 * first_order.entrance_pupil_radius)) == pytest.approx(2.8, rel=1e-12)
+    focused = refocused(lens, view_of_spec(spec))
     if object_distance:  # refocusing to infinity shifts the focus of the scaled lens by EFL^2 / distance
-        assert notes["image_plane_shift_mm"] == pytest.approx(-(2.921**2) / (370 * notes["scale"]), rel=0.15)
-    rays = trace_fields(lens, view_of_spec(spec), sobol_disc(4096, 0))
+        shift = float(focused.thickness[-1] - lens.thickness[-1])
+        assert shift == pytest.approx(-(2.921**2) / (370 * notes["scale"]), rel=0.15)
+    rays = trace_fields(focused, view_of_spec(spec), sobol_disc(4096, 0))
     assert rays.valid.all()
     rms = 1e3 * rms_spot_radius(rays, centroid(rays))
     assert 0.5 < float(rms.mean()) < 1.5 and float(rms.max()) < 2.0
@@ -258,7 +299,7 @@ def test_every_phone_lens_serves(path):
     If the stop is inside, a few percent of the rays are lost behind it by total reflection at the largest fields.
     """
     spec = Spec()
-    lens, _ = imported.fit(phone(path), view_of_spec(spec), spec.f_number, 256)
+    lens = refocused(imported.fit(phone(path), view_of_spec(spec), spec.f_number)[0], view_of_spec(spec), "spot")
     rays = trace_fields(lens, view_of_spec(spec), sobol_disc(256, 0))
     assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
     assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)

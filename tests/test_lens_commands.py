@@ -297,7 +297,10 @@ MISTAKES = [
     (("show", SAME, "--catalogue", "absent.agf"), "absent.agf: no such file or directory"),
     (("show", "text.zmx"), "text.zmx, line 1: hello: unknown keyword (with ''), which may change rays; delete"),
     (("show", DOUBLET, "--kernel-size", "50"), "kernel_size = 50: expected an odd number, so that the PSF has a"),
-    (("show", DOUBLET, "--focus", "nan"), "--focus nan: expected a number of micrometres, such as -10, or best"),
+    (
+        ("show", DOUBLET, "--focus", "nan"),
+        "--focus nan: expected a number of micrometres, such as -10, or best, or spot",
+    ),
     (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than or equal to 0.5"),
     (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),
     (("show", PHONE, "--wavelengths", "0.5,red"), "wavelengths_um: expected a number, found 'red'"),

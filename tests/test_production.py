@@ -15,7 +15,7 @@ from tolerance_examples import doublet, grade
 from tasklens.design import production
 from tasklens.design.production import Production
 from tasklens.imaging import PsfCamera
-from tasklens.optics.tolerancing import focus
+from tasklens.optics.analysis import focus
 from tasklens.optics.tolerancing.errors import draw, errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.pipeline.outcome import outcome

@@ -16,6 +16,7 @@ from safetensors.torch import load_file
 
 import tasklens
 from tasklens.cli.app import main
+from tasklens.optics.analysis.focus import shifted
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import imported
@@ -24,6 +25,7 @@ from tasklens.pipeline import ranking as pipeline
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.report import ranking
+from tasklens.report.predictions import read as read_predictions
 from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
@@ -132,7 +134,7 @@ def test_the_image_of_a_near_object_ends_at_the_corner_of_the_sensor(tmp_path, s
     (entry,) = screened.entries.values()
     spec = Spec.model_validate(sensor | entry["spec"])
     near = view_of_spec(spec)
-    fitted, _ = imported.fit(ImportedLens.model_validate(entry), near, spec.f_number, 64)
+    fitted, _ = imported.fit(ImportedLens.model_validate(entry), near, spec.f_number)
     assert float(near.radii.max() * image_scale(fitted, near)) == pytest.approx(half, rel=1e-6)
     assert float(near.radii.max()) < 0.97 * half
     efl = float(paraxial(fitted, near.reference_um).efl)
@@ -208,7 +210,7 @@ def test_the_command_ranks_a_folder_of_lenses(here, ranked, capfd):
     """A table, a page, and reasons for what is not measured; two lenses that are the same are equal."""
     assert ranked.returncode == 0, ranked.stderr
     assert "the network recognises" in ranked.stderr
-    assert "3 of 5 lenses are measured with 40 photographs" in ranked.stderr
+    assert "3 of 5 lenses are measured with 40 of 60 photographs" in ranked.stderr
     table = pandas.read_csv("results/ranking/tables/ranking.csv").set_index("lens")
     assert set(table.index) == {"sharp", "sharp_too", "Fast.2"} and (table["accuracy"] > 40).all()
     assert table.loc["sharp", "accuracy"] == pytest.approx(table.loc["sharp_too", "accuracy"], abs=1e-9)
@@ -357,6 +359,34 @@ def test_ranking_in_python_agrees_with_the_command(here):
     shutil.rmtree("results", ignore_errors=True)
 
 
+@pytest.mark.slow
+def test_every_door_gives_the_same_answers(here, tmp_path):
+    """Through a lens in focus and one that is not: the command, which imports them into a study, and Python.
+
+    The verdict of a design is of the Python function.
+    """
+    write_photographs(tmp_path / "test", random_images(40, 32, 3, seed=0), ("cat", "dog", "owl"))
+    write_photographs(tmp_path / "train", random_images(12, 32, 3, seed=1), ("cat", "dog", "owl"))
+    lens, view = singlet()
+    for name, shift in (("sharp", 0.0), ("blurred", 0.2)):
+        tasklens.save_lens(here / f"{name}.yaml", shifted(lens, shift), view)
+    sensor = ("--diagonal", repr(2 * float(view.radii.max())), "--pixel-pitch", "4", "--kernel-size", "15")
+    images = ("--images", str(tmp_path), "--size", "32")
+    assert (
+        main(["rank", "sharp.yaml", "blurred.yaml", *COMMAND[4:], *WEIGHTS, *images, *sensor, "--name", "doors"]) == 0
+    )
+    network = timm.create_model("test_resnet", num_classes=3)
+    network.load_state_dict(load_file("mine.safetensors"))
+    lenses = {name: tasklens.load_lens(f"{name}.yaml") for name in ("sharp", "blurred")}
+    result = tasklens.rank(lenses, tmp_path, network, size=32)
+    for name, correct in result.correct.items():
+        command = read_predictions(measurement("doors", f"lens-{name}", "network", kind="-predictions"))
+        assert command.to_numpy().sum(0).tolist() == correct.to_numpy().sum(0).tolist()
+    assert result.correct["sharp"].to_numpy().mean() > result.correct["blurred"].to_numpy().mean() + 0.1
+    table = pandas.read_csv("results/doors/tables/ranking.csv")
+    assert set(table["focus"]) == {"file"} and (table["image_plane_shift_um"] == 0).all()
+
+
 def test_lenses_are_screened_for_a_sensor(here, capsys):
     """Lenses keep size and F-number; with `scaled`, a narrow lens is enlarged until its field fills the sensor."""
     paths = pipeline.lens_paths([here / "lenses"])
@@ -381,12 +411,17 @@ def test_a_fifth_of_a_folder_is_tested_if_the_network_is_trained(tmp_path):
     for k in range(60):
         (tmp_path / f"class{k % 2}").mkdir(exist_ok=True)
         (tmp_path / f"class{k % 2}" / f"{k}.png").touch()
-    assert pipeline.image_settings(tmp_path, 32, 500, trained=True)["test"] == 12
-    assert pipeline.image_settings(tmp_path, 32, 5, trained=True)["test"] == 5
-    assert pipeline.image_settings(tmp_path, 32, 500, trained=False)["test"] == 57
+    for most, trained, focused, test, others in (
+        (500, True, False, 12, "; the network is trained on others"),
+        (5, True, False, 5, "; the network is trained on others"),
+        (500, False, False, 57, "; 3 others are needed as training images"),
+        (500, False, True, 34, "; 26 others are for the focus"),
+    ):
+        images = pipeline.image_settings(tmp_path, 32, most, trained, focused)
+        assert images["test"] == test and pipeline.photographs(images) == f"{test} of 60 photographs{others}"
     with pytest.raises(FileError, match="too few photographs for a ranking"):
         (tmp_path / "few" / "a").mkdir(parents=True)
-        pipeline.image_settings(tmp_path / "few", 32, 500, trained=True)
+        pipeline.image_settings(tmp_path / "few", 32, 500, True, False)
 
 
 class Answers(torch.nn.Module):

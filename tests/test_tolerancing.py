@@ -10,12 +10,13 @@ from pydantic import ValidationError
 from tolerance_examples import AIR, COC, NOTHING, OKP4, doublet, grade
 
 from tasklens.materials.material import D_LINE
+from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
 from tasklens.optics.lens import Lens, Melt
-from tasklens.optics.tolerancing import allocation, focus
+from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import DEVIATION, draw, elements, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import View
@@ -176,7 +177,7 @@ def test_a_long_lens_is_focused_within_a_tenth_of_its_depth(shift):
     """Depth is F-number / frequency, here 0.09 mm, and not a part of the focal length of 50 mm."""
     lens = cooke_triplet()
     view = View(f64([[0.0, 0.0], [0.0, 1.0]]), 50.0, (0.6563, D_LINE, 0.4861), 1.8, 51)
-    lens = refocused(lens, view, 256)
+    lens = refocused(lens, view, "spot")
     peak = focus.peak(lens, view)
     moved = replace(lens, thickness=lens.thickness + f64([0] * 8 + [shift]))
     assert float(focus.focused(moved, view, peak)[1]) == pytest.approx(-shift, abs=0.002)

@@ -26,4 +26,4 @@ def doublet() -> tuple[Lens, View]:
         semi_diameter=[0.5, 1.4, 1.4, 1.4, 1.4],
     )
     view = View(f64([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]]), 4.6, (0.6563, D_LINE, 0.4861), 2.0, 31)
-    return refocused(lens, view, 256), view
+    return refocused(lens, view, "spot"), view

@@ -110,7 +110,8 @@ def tolerance(
     json: AsJson = False,
 ) -> None:
     """Monte Carlo tolerancing: yield, worst offenders, and tolerances for a drawing."""
-    from tasklens.optics.tolerancing import focus, yields
+    from tasklens.optics.analysis import focus
+    from tasklens.optics.tolerancing import yields
     from tasklens.report import yields as report
     from tasklens.study.tolerance_settings import GRADES, Grade
 

@@ -16,7 +16,6 @@ from tasklens.runtime.errors import InputError
 if TYPE_CHECKING:
     from tasklens.optics.io.lens_files import LensFile
 
-_RAYS = 1024  # per field and colour, for the best focus
 _PANEL = "Overrides, and values missing from the file"
 
 
@@ -32,7 +31,11 @@ Wavelengths = Annotated[
 ]
 Focus = Annotated[
     str | None,
-    typer.Option(help="Shift of the image plane away from the lens (um), or best.", rich_help_panel=_PANEL),
+    typer.Option(
+        help="Shift of the image plane away from the lens (um); best: to the peak of the MTF; spot: to the smallest "
+        "spot.",
+        rich_help_panel=_PANEL,
+    ),
 ]
 ObjectDistance = Annotated[
     float | None,
@@ -87,16 +90,15 @@ def reader(
 
 def _focused(file: "LensFile", focus: str, path: Path) -> "LensFile":
     """Return a lens with its image plane moved by a number of micrometres, or to the best focus; raises InputError."""
-    from tasklens.optics.analysis.focus import refocused
+    from tasklens.optics.analysis.focus import refocused, shifted
     from tasklens.optics.io import lens_files
 
-    if focus == "best":
-        lens = refocused(file.lens, file.view, _RAYS)
-        say(f"{path}: --focus {1e3 * float(lens.thickness[-1] - file.lens.thickness[-1]):.1f}, by the mean RMS spot")
+    if focus in ("best", "spot"):
+        lens = refocused(file.lens, file.view, "spot" if focus == "spot" else "mtf")
+        by = "the mean RMS spot" if focus == "spot" else "the MTF"
+        say(f"{path}: --focus {1e3 * float(lens.thickness[-1] - file.lens.thickness[-1]):.1f}, by {by}")
     else:
-        thickness = file.lens.thickness.clone()
-        thickness[-1] += 1e-3 * _micrometres(focus)
-        lens = replace(file.lens, thickness=thickness)
+        lens = shifted(file.lens, 1e-3 * _micrometres(focus))
     return replace(file, lens=lens, content=lens_files.without_figures(file.content))
 
 
@@ -106,7 +108,7 @@ def _micrometres(focus: str) -> float:
             return shift
     except ValueError:
         pass
-    raise InputError(f"--focus {focus}: expected a number of micrometres, such as -10, or best")
+    raise InputError(f"--focus {focus}: expected a number of micrometres, such as -10, or best, or spot")
 
 
 def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:

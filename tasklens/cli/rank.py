@@ -21,6 +21,7 @@ from tasklens.cli.network_options import (
 from tasklens.cli.outputs import say
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
+from tasklens.study.lens_entries import Focus
 
 _SENSOR, _MORE = "Sensor and object", "Further options"
 
@@ -60,6 +61,14 @@ def rank(
             "--scale", help="Scale lenses to the sensor; for patents, not for products.", rich_help_panel=_SENSOR
         ),
     ] = False,
+    focus: Annotated[
+        Focus | None,
+        typer.Option(
+            help="Image plane: as in the file, least loss of the network, peak of the MTF, smallest spot; by default "
+            "as in the file, and by the network if the lens is scaled or the object at another distance.",
+            rich_help_panel=_SENSOR,
+        ),
+    ] = None,
     sieve: Annotated[
         int | None,
         typer.Option(min=3, help="Measure only this many lenses, those with the highest MTF.", rich_help_panel=_MORE),
@@ -106,20 +115,22 @@ def rank(
         **({} if wavelengths is None else {"wavelengths_um": wavelengths.split(",")}),
     }
     paths = ranking.lens_paths(lenses)
-    section = ranking.image_settings(images, user_images.SIZE if size is None else size, max_images, fine_tune > 0)
+    side = user_images.SIZE if size is None else size
     capture = {"diffraction": diffraction, "sensor": None if full_well is None else {"full_well": full_well}}
     tolerances = {} if grade is None else {"grade": grade}
 
     def study(screened: ranking.Screened, built: Sequence[str] = ()) -> dict:
+        focused = any(entry["focus"] == "network" for entry in screened.entries.values())
+        section = ranking.image_settings(images, side, max_images, fine_tune > 0, focused)
         return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, sieve, tolerances, built)
 
     unread = loading.parse(study(ranking.unread()))  # errors come before the lenses are read
     say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
     with progress_bars():
-        screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale)
+        screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale, focus)
     content = study(screened)
     count = len(loading.parse(content).imported)
-    say(f"{count} of {len(paths)} lenses are measured with {section['test']} photographs")
+    say(f"{count} of {len(paths)} lenses are measured with {ranking.photographs(content['images'])}")
     folder = ranking.run(content, ["ranking"], cores, overwrite)
     if as_built:
         content = study(screened, ranking.first_lenses(folder, content["ranking"]["titles"], as_built))

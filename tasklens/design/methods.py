@@ -12,12 +12,14 @@ from torch import Tensor, nn
 from tasklens.design import descents, least_squares
 from tasklens.design.constraints import limit_margins, smallest_margins, worst_margin
 from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.network_focus import focused_by_network
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.variables import with_coefficients
 from tasklens.optics.analysis.datasheet import figures, means
+from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
@@ -63,14 +65,10 @@ def design(
         trained with the lens.
     """
     settings, view = plan.entry.design, view_of_spec(plan.spec)
-    if isinstance(settings, ImportedLens):
-        lens, origin = imported.fit(settings, view, plan.spec.f_number, plan.rays)
-        pupil = torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)])
-        radii = clear_semi_diameters(lens, view.at_all_radii(), pupil)
-        origin = {"design": plan.entry.design_name, "method": "file"} | origin
-        return *with_notes(lens, _APERTURE * radii, plan, origin), [], None
     free = settings.free if isinstance(settings, GradientDesignSettings) else None
     problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, free, plan.fields)
+    if isinstance(settings, ImportedLens):
+        return *_imported(settings, problem, plan, classifier), [], None
     origin = {"design": plan.entry.design_name, "method": settings.method, "seed": plan.seed}
     if isinstance(settings, LeastSquaresSettings):
         plates = flat(plan.entry.plastics, plan.spec, plan.constraints)
@@ -122,6 +120,26 @@ def design(
             notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
             network = supervisor.criterion.network if isinstance(supervisor.criterion, JointTaskLoss) else None
     return final_lens, notes, history, network
+
+
+def _imported(
+    settings: ImportedLens, problem: Problem, plan: LensDesign, classifier: nn.Module | None
+) -> tuple[Lens, Notes]:
+    """Read an imported lens and set its focus; return it with the notes for its file."""
+    lens, details = imported.fit(settings, problem.view, plan.spec.f_number)
+    by = settings.focus or imported.focus(details)
+    focused = lens
+    if by == "network":
+        assert classifier is not None and problem.dataset is not None  # inputs of the job unless the focus needs none
+        network = frozen(classifier, problem.dataset.images, "stored")
+        focused = focused_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
+    elif by != "file":
+        focused = refocused(lens, problem.view, by)
+    origin = {"design": plan.entry.design_name, "method": "file"} | details
+    origin |= {"focus": by, "image_plane_shift_mm": float(focused.thickness[-1] - lens.thickness[-1])}
+    pupil = torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)])
+    radii = clear_semi_diameters(focused, problem.view.at_all_radii(), pupil)
+    return with_notes(focused, _APERTURE * radii, plan, origin)
 
 
 def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:

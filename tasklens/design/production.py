@@ -8,11 +8,12 @@ import torch
 from torch import Tensor
 
 from tasklens.imaging import PsfCamera
+from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.tolerancing import allocation, focus
+from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import Error, draw, with_errors
 from tasklens.optics.view import View
 from tasklens.recognition.evaluation import CapturePipeline, classify

@@ -18,13 +18,13 @@ from torchvision.transforms.v2.functional import resize
 from tasklens.design.criteria import CaptureCriterion, Contrast, Criterion, SpotRadius
 from tasklens.design.problem import Problem
 from tasklens.imaging import PsfCamera
+from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
-from tasklens.optics.tolerancing import focus
 from tasklens.optics.tolerancing.errors import draw, errors, with_errors
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset

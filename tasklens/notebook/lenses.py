@@ -29,8 +29,6 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import positive
 from tasklens.study.settings import Spec
 
-_RAYS = 1024  # per field and colour, for the focus
-
 
 def load_lens(
     path: str | Path,
@@ -136,7 +134,7 @@ def lens(
     changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" not in surfaces[-1]:
-        file = replace(file, lens=refocused(file.lens, file.view, _RAYS))
+        file = replace(file, lens=refocused(file.lens, file.view))
     for remark in lens_files.light_remarks(file):
         warnings.warn(remark, stacklevel=2)
     return file.lens, file.view

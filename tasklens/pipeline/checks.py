@@ -41,7 +41,7 @@ def check(study: Study, networks: bool, weights: bool) -> None:
         for lens in study.lenses.values():
             if isinstance(lens.design, ImportedLens):
                 spec = study.lens_spec(lens.name)
-                fitted = imported.fit(lens.design, view_of_spec(spec), spec.f_number, study.evaluation_rays)
+                fitted = imported.fit(lens.design, view_of_spec(spec), spec.f_number)
                 read[lens.name], origin = fitted
                 for remark in origin.get("assumptions", ()):
                     print(f"tasklens: {lens.design.file}: {remark}", file=sys.stderr)

@@ -13,9 +13,9 @@ from typing import Any
 import yaml
 from pydantic import ValidationError
 
+from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.mtf import mean_mtf
 from tasklens.optics.analysis.object_points import image_scale
-from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.io import imported, lens_files
 from tasklens.optics.lens import Lens
@@ -25,7 +25,7 @@ from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_table, write_text
 from tasklens.runtime.progress import Progress
-from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.lens_entries import Focus, ImportedLens
 from tasklens.study.messages import problems
 from tasklens.study.settings import ClassifierSettings, ImageSettings, Spec
 
@@ -37,7 +37,8 @@ _ROUNDS = 20  # of the fixed point for the scale of a lens with a near object; e
 _COVERAGE = 0.99  # least part of the sensor's half diagonal that the field in a lens file covers
 _LONGEST = 30  # characters of a name
 _SHOWN = 200  # sharp photographs for the check of a network
-_MINIVAL, _TRAIN = 2, 1  # photographs that a study needs in addition to the ranking's
+_MINIVAL = 2  # photographs that a study needs in addition to the ranking's
+_FOCUS = 24  # photographs by which a network sets the focus
 _TESTED = 5  # one photograph in so many is tested if the network is trained on the others of the same folder
 
 
@@ -76,16 +77,25 @@ def lens_paths(places: Sequence[Path]) -> list[Path]:
 
 def unread() -> Screened:
     """Return a published lens in place of those to be read, to check a study before they are."""
-    return Screened({ELEMENTS: {"elements": ELEMENTS, "file": _SHIPPED}}, {ELEMENTS: ELEMENTS}, {ELEMENTS: 0.0})
+    return Screened(
+        {ELEMENTS: {"elements": ELEMENTS, "file": _SHIPPED, "focus": "file"}}, {ELEMENTS: ELEMENTS}, {ELEMENTS: 0.0}
+    )
 
 
-def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[Path], scaled: bool) -> Screened:
+def screen(
+    paths: Sequence[Path],
+    spec: Mapping[str, Any],
+    catalogues: Sequence[Path],
+    scaled: bool,
+    focus: Focus | None = None,
+) -> Screened:
     """Read lenses, and check which of them can be used with a sensor.
 
     Args:
         spec: keys of `Spec`: the sensor and the distance of the object.
         catalogues: additional glass catalogues.
         scaled: scale lenses so that their field fills the sensor; otherwise they keep their size.
+        focus: what sets their image planes; None: as in `ImportedLens`.
 
     Raises:
         InputError: a value of the sensor is invalid, or a catalogue does not exist.
@@ -100,7 +110,7 @@ def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[
     for step, path in enumerate(paths, 1):
         title = _title(path, paths)
         try:
-            entry, mtf, remarks = _screened(path, sensor, catalogues, scaled)
+            entry, mtf, remarks = _screened(path, sensor, catalogues, scaled, focus)
         except ValidationError as error:
             screened.left_out[title] = "; ".join(problems(error, Spec))
         except (InputError, OSError) as error:
@@ -115,12 +125,11 @@ def screen(paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[
 
 
 def _screened(
-    path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool
+    path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool, focus: Focus | None
 ) -> tuple[dict[str, Any], float, Sequence[str]]:
     """Return the entry of a lens in a study, its mean MTF, and assumptions about its file; raises InputError."""
     file = lens_files.read(path, catalogues)
-    first_order = paraxial(file.lens, sensor.wavelengths_um[1])
-    efl = float(first_order.efl)
+    efl, f_number = imported.size(file.lens, file.content.get("spec", {}), sensor.wavelengths_um[1])
     tangent, half = float(file.view.radii.max()) / file.view.efl, sensor.diagonal_mm / 2
     if not tangent:
         raise InputError("its file has no field except the axis")
@@ -147,16 +156,19 @@ def _screened(
     lens_spec = {
         "diagonal_mm": 2 * half / growth,  # of the image of an object at infinity, as in all specifications
         "field_of_view_deg": math.degrees(2 * math.atan(tangent)),
-        "f_number": float(first_order.f_number),
+        "f_number": f_number,
     }
     files = {"file": str(path), "catalogues": [*map(str, catalogues)]}
     entry = {"elements": ELEMENTS, **files, "spec": lens_spec}
     spec = Spec.model_validate(sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
-    lens, _ = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number, _RAYS)
+    lens, details = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number)
     if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
-    return entry, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), remarks
+    by = focus or imported.focus(details)
+    if by != "file":
+        lens = refocused(lens, view, "spot" if by == "spot" else "mtf")
+    return entry | {"focus": by}, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), remarks
 
 
 def _image_scale(lens: Lens, sensor: Spec) -> float:
@@ -231,10 +243,11 @@ def study(
     return content
 
 
-def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> dict[str, Any]:
+def image_settings(folder: Path, size: int, photographs: int, trained: bool, focused: bool) -> dict[str, Any]:
     """Return the images of a ranking: at most `photographs` to test with; if `trained`, the others for training.
 
-    Of a folder without splits, a fifth is tested if the network is trained.
+    Of a folder without splits, a fifth is tested if the network is trained; else a study needs a few others, and more
+    if the network sets the focus of lenses (`focused`).
 
     Raises:
         FileError: the folder has no photographs by class, or too few.
@@ -242,16 +255,33 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool) -> 
     if not folder.is_dir():
         raise FileError(f"--images {folder}: no such folder")
     images = {"folder": str(folder), "size": size, "minival": _MINIVAL}
+    train = _FOCUS if focused else 1
     if class_folders.is_split(folder):
         test, least = class_folders.count(class_folders.split_folder(folder, class_folders.TEST), photographs), 1
     elif trained:
         test, least = class_folders.count(folder, _TESTED * photographs) // _TESTED, _TESTED
     else:
-        others = _MINIVAL + _TRAIN
+        others = _MINIVAL + train
         test, least = class_folders.count(folder, photographs + others) - others, others + 1
     if test < 1:
         raise FileError(f"--images {folder}: too few photographs for a ranking; expected {least} or more")
-    return images | {"test": test} | ({} if trained else {"train": _TRAIN})
+    return images | {"test": test} | ({} if trained else {"train": train})
+
+
+def photographs(images: Mapping[str, Any]) -> str:
+    """Say how many photographs are ranked, of how many, and what the others are for."""
+    folder, tested, train = Path(images["folder"]), images["test"], images.get("train")
+    split = class_folders.is_split(folder)
+    place = class_folders.split_folder(folder, class_folders.TEST) if split else folder
+    total = class_folders.count(place, sys.maxsize)
+    if tested == total:
+        return f"{tested} photographs"
+    words = f"{tested} of {total} photographs"
+    if split:
+        return f"{words} (--max-images)"
+    if train is None:
+        return f"{words}; the network is trained on others"
+    return f"{words}; {_MINIVAL + train} others are {'for the focus' if train > 1 else 'needed as training images'}"
 
 
 def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:

@@ -61,6 +61,10 @@ HEADINGS = {
     "worst_psnr_db": Heading(
         "worst PSNR", "dB", ".1f", "max", meaning="Mean PSNR of the worst hundredth of images, mean over fields"
     ),
+    "focus": Heading("focus", meaning="What sets the image plane: the file, the network, the MTF, or the spot"),
+    "image_plane_shift_um": Heading(
+        "focus shift", "um", "+.1f", meaning="Of the image plane, from its place in the file"
+    ),
     "rms_spot_um": Heading("RMS spot", "um", ".1f", "min", meaning="RMS distance of rays from their centroid"),
     "core_radius_um": Heading(
         "core radius", "um", ".1f", "min", meaning="Radius of the circle about the chief ray with half of the light"

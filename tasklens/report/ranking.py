@@ -205,6 +205,8 @@ def make(
         if "zero_shot_accuracy" in means[rank.lens]:
             columns["zero_shot_accuracy"] = means[rank.lens]["zero_shot_accuracy"]
         columns |= {"mtf_mean": facts.mtf[rank.lens]} if rank.lens in facts.mtf else {}
+        if "focus" in (origin := content["origin"]):  # of an imported lens
+            columns |= {"focus": origin["focus"], "image_plane_shift_um": 1e3 * origin["image_plane_shift_mm"]}
         rows.append(columns | losses.get(rank.lens, {}))
     table = pandas.DataFrame(rows)
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"

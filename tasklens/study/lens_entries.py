@@ -1,7 +1,7 @@
 """Entries of a study's lenses: designed, or imported from files; no torch here."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, FilePath, field_validator
 
@@ -27,15 +27,22 @@ def _here_or_shipped(path: Any) -> Any:
 
 
 LensFile = Annotated[FilePath, BeforeValidator(_here_or_shipped)]
+Focus = Literal["file", "network", "mtf", "spot"]  # what sets the image plane of a lens from a file
 
 
 class ImportedLens(Frozen):
-    """A lens from a file, scaled and refocused to the specification; its materials are those of the file."""
+    """A lens from a file, scaled to the specification; its materials are those of the file."""
 
     elements: Name = Field(description="Name of its elements in the tables.")
     file: LensFile = Field(description="A Zemax file (.zmx), or a lens.yaml.")
     catalogues: tuple[LensFile, ...] = Field((), description="Glass catalogues of the file (.agf or YAML).")
     spec: dict[str, Any] = Field({}, description="Keys of `spec` that differ for this lens.")
+    focus: Focus | None = Field(
+        None,
+        description="Image plane. file: as in the file, scaled with the lens; network: least loss of the supervisor on "
+        "training images; mtf: peak of the MTF; spot: smallest RMS spot; null: as in the file if size and object "
+        "distance are those of the file, else by the network.",
+    )
 
     @property
     def sources(self) -> tuple[Path, ...]:
@@ -112,8 +119,13 @@ class LensEntry(Frozen):
 
     @property
     def reads_images(self) -> bool:
-        """True if a descent minimises a loss of captures, which needs images."""
-        return any(descent.reads_images for descent in self.descents)
+        """True if a descent minimises a loss of captures, or the focus of an imported lens may do so."""
+        return self.may_focus or any(descent.reads_images for descent in self.descents)
+
+    @property
+    def may_focus(self) -> bool:
+        """True if the lens is imported, and a network may set its focus."""
+        return isinstance(self.design, ImportedLens) and self.design.focus in (None, "network")
 
     @property
     def constrained(self) -> bool:

@@ -126,12 +126,13 @@ def table_lenses(study: Study) -> tuple[str, ...]:
 def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
     """Return the part of a study that the design of a lens may read; raises StudyError."""
     entry = study.lens(lens)
+    by_supervisor = entry.may_focus or (entry.classified and not entry.other_task)
     return LensDesign(
         entry=entry.model_copy(update={"capture": None, "fields": None}),  # given by `capture` and `fields` below
         spec=study.lens_spec(lens),
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.reads_images else None,
-        classifier=study.network(study.supervisor) if entry.classified and not entry.other_task else None,
+        classifier=study.network(study.supervisor) if by_supervisor else None,
         task=entry.other_task,
         network=None if entry.other_task is None else study.task_network(entry.other_task),
         starts=starts(study, lens),

@@ -1,11 +1,12 @@
 """Imported lenses: the specification sets size, stop and focus; the file sets the rest."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
 import torch
 
-from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import rim
 from tasklens.optics.analysis.spots import chief_rays, trace_fields
@@ -16,57 +17,77 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
-from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.lens_entries import Focus, ImportedLens
+
+_SAME = 1e-9  # relative difference of equal focal lengths or vergences
 
 
-def fit(settings: ImportedLens, view: View, f_number: float, rays: int) -> tuple[Lens, dict]:
+def fit(settings: ImportedLens, view: View, f_number: float) -> tuple[Lens, dict]:
     """Read a lens and fit it to a specification.
 
-    The lens is scaled to the focal length of `view`, its stop is set to the F-number, and it is refocused for the
-    object of `view`. Its clear apertures are scaled with it and vignette.
+    The lens is scaled to the focal length of `view` with its image plane, and its stop is set to the F-number. Its
+    clear apertures are scaled with it and vignette.
 
     Args:
         settings: file of the lens.
         view: fields, wavelengths and focal length.
         f_number: focal length over diameter of the entrance pupil.
-        rays: number of pupil points per field and wavelength for the focus.
 
     Returns:
-        The lens, and its origin: the file with its EFL [mm] and object distance [mm, None = infinity], the scale, the
-        shift of the image plane after scaling [mm], and assumptions made when the file was read, as text.
+        The lens, and its origin: the file with its EFL [mm] and object distance [mm, None = infinity], the scale,
+        whether the lens is `as_in_file`, in size and object distance, and assumptions made when the file was read.
 
     Raises:
         FileError: the file cannot be read, or its lens does not fit the specification.
     """
     name = str(settings.file)
-    source = read(settings)
+    source, spec = read(settings)
     try:
         source.lens.refractive_indices(view.wavelengths_um)
     except ValueError as error:
         raise FileError(f"{name}: {error}") from None
-    efl = float(paraxial(source.lens, view.reference_um).efl)
+    efl, own_f_number = size(source.lens, spec, view.reference_um)
     if not 0 < efl < math.inf:
         raise FileError(f"{name}: focal length {efl:.4g} mm: expected a positive one")
-    scale = view.efl / efl
+    same_size = math.isclose(view.efl, efl, rel_tol=_SAME)
+    scale = 1.0 if same_size else view.efl / efl
     lens = source.lens.scaled(scale)
-    lens.semi_diameter[lens.stop] = stop_radius(lens, ("f_number", f_number), view.reference_um)
+    if not math.isclose(f_number, own_f_number, rel_tol=_SAME):
+        lens.semi_diameter[lens.stop] = stop_radius(lens, ("f_number", f_number), view.reference_um)
     _check_light(lens, view, f_number, name)
-    focused = refocused(lens, view, rays)
-    return focused, {
+    same_object = math.isclose(source.object_distance_mm, view.object_distance, rel_tol=_SAME)
+    return lens, {
         "file": name,
         "file_efl_mm": efl,
         "file_object_distance_mm": None if math.isinf(source.object_distance_mm) else source.object_distance_mm,
         "scale": scale,
-        "image_plane_shift_mm": float(focused.thickness[-1] - lens.thickness[-1]),
+        "as_in_file": same_object and same_size,
         **({"assumptions": list(source.remarks)} if source.remarks else {}),
     }
 
 
-def read(settings: ImportedLens) -> Prescription:
-    """Read the prescription from the file of an imported lens; raises FileError."""
+def focus(details: Mapping[str, Any]) -> Focus:
+    """Return what sets the image plane of a lens from `fit`, unless its settings say so."""
+    return "file" if details["as_in_file"] else "network"
+
+
+def read(settings: ImportedLens) -> tuple[Prescription, Mapping[str, Any]]:
+    """Read the prescription from the file of an imported lens, and its specification, if any; raises FileError."""
     if settings.file.suffix.lower() == ".zmx":
-        return zemax.read(settings.file, settings.catalogues)
-    return prescription.read(settings.file)[0]
+        return zemax.read(settings.file, settings.catalogues), {}
+    source, content = prescription.read(settings.file)
+    spec = content.get("spec")
+    return source, spec if isinstance(spec, Mapping) else {}
+
+
+def size(lens: Lens, spec: Mapping[str, Any], reference_um: float) -> tuple[float, float]:
+    """Return the focal length [mm] and the F-number of a lens: those of its specification, or else its own.
+
+    A designed lens may differ from its specification by the tolerance of the focal length.
+    """
+    first_order = paraxial(lens, reference_um)
+    efl, f_number = float(first_order.efl), float(first_order.f_number)
+    return float(spec.get("efl_mm", efl)), float(spec.get("f_number", f_number))
 
 
 def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:

@@ -27,7 +27,6 @@ from tasklens.runtime.files import FileError, positive
 from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
-_RAYS = 1024  # per field and colour, for the focus
 _RIM = 64  # marginal rays on the axis
 
 
@@ -165,7 +164,7 @@ def _refocused(lens: Lens, view: View, distance: float) -> tuple[Lens, list[str]
     """Refocus a lens for the object of the view if its file has another, near one, at `distance` [mm]; say so."""
     if math.isinf(distance) or view.object_vergence == 1 / distance:
         return lens, []
-    focused = refocused(lens, view, _RAYS)
+    focused = refocused(lens, view)
     shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
     requested = f"{1 / view.object_vergence:g} mm" if view.object_vergence else "infinity"
     return focused, [f"object at {distance:g} mm in the file: refocused for {requested}, by {shift:.1f} um"]

@@ -6,12 +6,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
-from tasklens.optics.tolerancing import allocation, focus
+from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import Error, draw, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.optics.view import View
