@@ -2,6 +2,7 @@
 
 import os
 import unicodedata
+from pathlib import Path
 
 import pytest
 import torch
@@ -9,7 +10,8 @@ from examples import write
 from PIL import Image
 
 from tasklens.design.single import unused_images
-from tasklens.recognition import class_folders, dataset, folders
+from tasklens.pipeline import ranking
+from tasklens.recognition import class_folders, dataset, folders, user_images
 from tasklens.runtime.files import FileError
 from tasklens.study.job_settings import folder_digest
 from tasklens.study.settings import ImageSettings
@@ -44,8 +46,8 @@ def test_rendered_images_have_no_folder():
     "gone, words",
     [
         ("", r"images\.folder = .*: no such folder"),
-        ("train", r"images\.folder = .*: expected a folder train in it"),
-        ("test", r"images\.folder = .*: expected a folder test or val in it"),
+        ("train", r"images\.folder = .*: expected a folder train or training in it"),
+        ("test", r"images\.folder = .*: expected a folder test or .* in it"),
         ("test/dog", r"train and test have different classes: dog$"),
         ("train/cat", r"train and test have different classes: cat$"),
         ("train/cat/0.png", r"expected fewer than the 3 training images"),
@@ -102,7 +104,91 @@ def test_a_large_folder_is_not_listed(folder, monkeypatch):
     scandir = os.scandir
     monkeypatch.setattr(class_folders.os, "scandir", lambda path: Counted(scandir(path)))
     class_folders.check(images(folder, minival=20))
-    assert 21 <= len(seen) < 60
+    assert 21 <= sum(name.endswith(".jpg") for name in seen) < 60
+
+
+@pytest.mark.parametrize("case", [str.lower, str.upper, str.title])
+@pytest.mark.parametrize("train", ["train", "training"])
+@pytest.mark.parametrize("test", ["test", "testing", "val", "valid", "validation"])
+def test_splits_in_any_case_and_spelling(folder, case, train, test):
+    """For every door: a study, a ranking, a design with its verdict, and the forecast."""
+    for old, new in (("train", case(train)), ("test", case(test))):
+        (folder / old).rename(folder / "renamed")
+        (folder / "renamed").rename(folder / new)
+    class_folders.check(images(folder))
+    assert class_folders.training_classes(folder) == ["cat", "dog"]
+    assert class_folders.train_folder(folder) == folder / case(train)
+    assert class_folders.test_folder(folder) == folder / case(test)
+    assert len(folders.find(class_folders.test_folder(folder), None, 0)) == 2
+
+
+@pytest.mark.parametrize("names", [("train", "car"), ("valid", "invalid"), ("Test", "other"), ("validation", "bus")])
+def test_a_class_may_have_the_name_of_a_split(tmp_path, names):
+    """If it has no class in it, and other classes are beside it."""
+    for name in names:
+        write(tmp_path / name / "0.png", "")
+    assert not class_folders.is_split(tmp_path)
+    assert class_folders.training_classes(tmp_path) == sorted(names)
+
+
+def test_splits_that_cannot_be_told_apart_are_named(folder):
+    (folder / "Train").mkdir()
+    with pytest.raises(FileError, match="Train and train have the name of one split; merge them"):
+        class_folders.check(images(folder))
+
+
+def test_a_folder_one_level_too_high_is_refused(folder):
+    """By every door that reads classes, with the folder to give instead; also an undivided one with one class."""
+    (folder / "deep").mkdir()
+    for split in ("train", "test"):
+        (folder / split).rename(folder / "deep" / split)
+    doors = (
+        lambda: class_folders.check(images(folder).model_copy(update={"test": 1})),
+        lambda: class_folders.training_classes(folder),
+        lambda: user_images.test_images(folder, 16, 10),
+        lambda: dataset.training_images(images(folder), folder / "images.npy"),
+        lambda: unused_images(folder, 16),
+        lambda: ranking.image_settings(folder, 16, 10, False),
+    )
+    for door in doors:
+        with pytest.raises(FileError, match=f"but deep has train and test; give {folder}/deep$"):
+            door()
+    with pytest.raises(FileError, match=f"found only deep; if its folders are the classes, give {folder.name}/deep$"):
+        for split in ("train", "test"):
+            (folder / "deep" / split).rename(folder / "deep" / f"{split}_class")
+        os.chdir(folder.parent)
+        user_images.test_images(Path(folder.name), 16, 10)
+
+
+def test_links_are_followed(folder, tmp_path_factory):
+    """Links to photographs, to folders in a class, and to a class; circles end, and no folder is read twice."""
+    other = tmp_path_factory.mktemp("other")
+    for name in ("0.png", "1.jfif", "deep/2.jpe"):
+        write(other / name, "")
+    cat = folder / "train/cat"
+    for name, target in (("more", other), ("again", other), ("3.png", other / "0.png"), ("all", folder), ("up", cat)):
+        (cat / name).symlink_to(target)
+    (other / "back").symlink_to(cat)
+    (cat / "itself").symlink_to("itself")
+    (folder / "train/owl").symlink_to(other)
+    files, others = class_folders.contents(cat)
+    names = sorted(str(path.relative_to(cat)).removeprefix("more/").removeprefix("again/") for path in files)
+    assert names == ["0.png", "0.png", "1.jfif", "3.png", "deep/1.JPEG", "deep/2.jpe"]
+    assert others == {"links to folders that are read already": 4, "without a suffix": 1}
+    assert class_folders.training_classes(folder) == ["cat", "dog", "owl"]
+    assert len(class_folders.contents(folder / "train/owl")[0]) == 6
+
+
+def test_what_is_passed_over_is_counted_by_kind(folder, capsys):
+    """In one line for a split; hidden files do not count."""
+    for name in ("cat/a.txt", "dog/deep/b.TXT", "dog/c.mp4", "README", "d.png", ".hidden", "cat/.hidden"):
+        write(folder / "train" / name, "")
+    class_folders.check(images(folder))
+    assert len(folders.find(folder / "train", None, 0)) == 4
+    words = "passed over: 1 .mp4, 2 .txt, 1 photographs in no class folder, 1 without a suffix"
+    assert capsys.readouterr().err == f"tasklens: {folder}/train: {words}\n"
+    folders.find(folder / "test", None, 0)
+    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.parametrize("name", ["scan.tif", "deep/PHONE.HEIC", "old.bmp"])
@@ -156,7 +242,7 @@ def test_names_of_classes_in_two_compositions(folder):
             folder / split / unicodedata.normalize({"train": "NFC", "test": "NFD"}[split], "käse")
         )
     class_folders.check(images(folder))
-    names = [folders.find(folder, (split,), None, 0).classes for split in ("train", "test")]
+    names = [folders.find(folder / split, None, 0).classes for split in ("train", "test")]
     assert names[0] == names[1] == ("dog", "käse")
     (folder / "train" / unicodedata.normalize("NFD", "käse")).mkdir()
     with pytest.raises(FileError, match="letters composed in two ways; merge them"):
@@ -169,7 +255,7 @@ def test_photographs_that_cannot_be_read_are_counted(tmp_path):
         (tmp_path / name).mkdir()
         for k in range(4):
             Image.new("RGB", (20, 20)).save(tmp_path / name / f"{k}.png")
-    listing = folders.find(tmp_path, (".",), None, 0)
+    listing = folders.find(tmp_path, None, 0)
     write(tmp_path / "cat/1.png", "no image")
     for read in (
         lambda: folders.convert(listing, 16, tmp_path / "a.npy", 2),

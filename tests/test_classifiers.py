@@ -208,7 +208,7 @@ def test_published_weights_reproduce_their_accuracy():
     normalised = {"mean": (0.5, 0.5, 0.5), "std": (0.5, 0.5, 0.5)}
     arguments = {"pad_type": "same", "pretrained_cfg_overlay": normalised}
     settings = ClassifierSettings(model="mobilenetv2_100", arguments=arguments, weights=weights, outputs="imagenet")
-    result = folders.find(SHARED / "data" / "imagenette", ("val",), None, 0)
+    result = folders.find(SHARED / "data" / "imagenette" / "val", None, 0)
     images = torch.stack([folders.read(file, 224) for file in result.files])
     dataset = data.ImageDataset(images, result.labels, result.classes)
     classifier = classifiers.build(settings, result.classes).eval()

@@ -43,7 +43,10 @@ def rows_of(folder: str) -> list[dict[str, str]]:
 
 def test_each_photograph_is_captured_at_its_field(photos, capsys):
     """As by `simulate`, within the 8 bits of a file; the same seed gives the same fields."""
-    assert run("photos", "-o", "out", *OPTIONS) == 0 and "wrote 4 captures to out" in capsys.readouterr().err
+    (photos / "cat" / "notes.txt").touch()
+    assert run("photos", "-o", "out", *OPTIONS) == 0
+    said = capsys.readouterr().err
+    assert "wrote 4 captures to out" in said and "photos: passed over: 1 .txt" in said
     rows = rows_of("out")
     assert sorted(row["file"] for row in rows) == ["cat/a.png", "cat/b.png", "dog/c.png", "dog/old/a.png"]
     lens, view = tasklens.load_lens(LENS)

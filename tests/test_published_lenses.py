@@ -42,7 +42,7 @@ def test_published_figures_and_margins_are_reproduced(study):
 def test_published_answers_are_reproduced(lens):
     """The first 30 test photographs, three of each class, at nine fields; no answer differed on another processor."""
     study = loading.load(ROOT / "config/photographs.yaml")
-    listing = folders.find(SHARED / "data/imagenette", ("true_val",), 30, study.images.seed)
+    listing = folders.find(SHARED / "data/imagenette/true_val", 30, study.images.seed)
     images = ImageDataset(folders.read_all(listing.files, study.images.size), listing.labels, listing.classes)
     weights = SHARED / "weights/mobilenetv2_100_same_in1k.safetensors"
     network = study.network(study.supervisor).model_copy(update={"weights": weights})

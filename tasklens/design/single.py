@@ -178,7 +178,7 @@ def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, An
 
 def _train(folder: Path, held_out: bool) -> int:
     """Return the number of photographs for a design: four fifths of a folder without splits if some are held out."""
-    if not held_out or not folder.is_dir() or class_folders.is_split(folder):
+    if not held_out or class_folders.is_split(folder):
         return _IMAGES
     return max(1, 4 * class_folders.count(folder, _IMAGES * 5 // 4) // 5)
 
@@ -186,13 +186,11 @@ def _train(folder: Path, held_out: bool) -> int:
 def unused_images(folder: Path, size: int | None) -> ImageDataset:
     """Return at most 500 photographs that a design with baselines does not use; raises FileError for fewer than 20."""
     size = user_images.SIZE if size is None else size
-    if not folder.is_dir():
-        raise FileError(f"{folder}: no such folder of images")
     if class_folders.is_split(folder):
-        images = user_images.of_folder(folder, class_folders.TEST, size, 0, _UNUSED)
+        images = user_images.test_images(folder, size, _UNUSED)
         class_folders.same_classes(folder, class_folders.training_classes(folder), images.classes)
     else:
-        images = user_images.of_folder(folder, (".",), size, _train(folder, held_out=True), _UNUSED)
+        images = user_images.of_folder(folder, size, _train(folder, held_out=True), _UNUSED)
     if len(images) < _LEAST:
         raise FileError(
             f"{folder}: {len(images)} photographs are left for a verdict on the lens; expected {_LEAST} or more (a "

@@ -121,6 +121,8 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
             user_images.check_classes(user.images)
         images = replace(user.images, device=device)
     else:
+        if classified and user.task is None and study.images.folder is not None:
+            class_folders.training_classes(study.images.folder)  # two or more
         images = dataset.training_images(study.images, folder / "images.npy", device=device)
     if not classified or network is None:
         return Supervisors(images)

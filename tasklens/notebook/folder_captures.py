@@ -1,5 +1,6 @@
 """Captures of a folder of photographs, to train or to test a network elsewhere."""
 
+import sys
 from collections import Counter
 from pathlib import Path
 
@@ -57,9 +58,11 @@ def capture_folder(
             smaller than half a PSF, or no light arrives at a field. Photographs that cannot be read are counted, before
             the first capture.
     """
-    files = sorted(class_folders.photographs(folder)) if folder.is_dir() else []
+    files, others = class_folders.contents(folder) if folder.is_dir() else ([], Counter[str]())
     if not files:
         raise InputError(f"{folder}: expected a folder of photographs ({', '.join(class_folders.SUFFIXES)})")
+    if words := class_folders.passed_over(folder, others):
+        print(f"tasklens: {words}", file=sys.stderr)
     if output.exists():
         raise InputError(f"{output}: already exists; choose a new folder")
     names = [file.relative_to(folder).with_suffix(".png") for file in files]

@@ -143,9 +143,7 @@ def _training_images(images: ImageSettings) -> float:
         return images.train
     assert images.folder is not None  # rendered images need counts
     try:
-        split = class_folders.is_split(images.folder)
-        folder = class_folders.split_folder(images.folder, class_folders.TRAIN) if split else images.folder
-        return class_folders.count(folder, COMPARABLE + 1)
+        return class_folders.count(class_folders.train_folder(images.folder), COMPARABLE + 1)
     except (FileError, OSError):
         return math.inf
 

@@ -44,7 +44,7 @@ def default_study() -> dict[str, Any]:
 def _counts(folder: Path, minival: int, fraction: float) -> dict[str, int]:
     """Return image counts: at most a fifth of the training images for minival; without splits, a fifth to test."""
     if split := class_folders.is_split(folder):
-        folders = (class_folders.split_folder(folder, names) for names in (class_folders.TRAIN, class_folders.TEST))
+        folders = class_folders.train_folder(folder), class_folders.test_folder(folder)
         train, test = (class_folders.count(place, COMPARABLE) for place in folders)
     else:
         total = class_folders.count(folder, COMPARABLE)

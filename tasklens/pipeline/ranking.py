@@ -257,7 +257,7 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool, foc
     images = {"folder": str(folder), "size": size, "minival": _MINIVAL}
     train = _FOCUS if focused else 1
     if class_folders.is_split(folder):
-        test, least = class_folders.count(class_folders.split_folder(folder, class_folders.TEST), photographs), 1
+        test, least = class_folders.count(class_folders.test_folder(folder), photographs), 1
     elif trained:
         test, least = class_folders.count(folder, _TESTED * photographs) // _TESTED, _TESTED
     else:

@@ -1,10 +1,12 @@
 """Folders of photographs with one folder per class: their contents, and checks of the counts. Does not import torch.
 
-Hidden files and folders (names that begin with a dot) are skipped: macOS and Jupyter leave copies in them.
+The classes are in the folder itself, or in two splits, `train` and `test`. Links are followed. Hidden files and folders
+(names that begin with a dot) are skipped: macOS and Jupyter leave copies in them.
 """
 
 import os
 import unicodedata
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
@@ -12,42 +14,103 @@ from pathlib import Path
 from tasklens.runtime.files import FileError
 from tasklens.study.settings import ImageSettings
 
-SUFFIXES = (".jpg", ".jpeg", ".png", ".webp")
+SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".webp")
 OTHERS = (".tif", ".tiff", ".bmp", ".gif", ".heic", ".jp2", ".avif", ".dng")  # image formats that are not supported
-TRAIN, TEST = ("train",), ("test", "val")  # possible folder names of each split
+_TRAIN = ("train", "training")  # names of each split in any case, the preferred one first
+_TEST = ("test", "testing", "val", "valid", "validation")
 
 
 def is_split(folder: Path) -> bool:
-    """Return whether a folder has separate train and test folders; if not, it contains the class folders."""
+    """Return whether a folder has separate train and test folders; if not, it contains the class folders.
+
+    A folder with the name of one split alone, beside others, may be a class such as train, beside car; it is a split
+    if it has folders inside.
+    """
     if not folder.is_dir():
         return True  # its reader reports that it is missing
-    inside = {entry.name for entry in folder.iterdir() if entry.is_dir() and not entry.name.startswith(".")}
-    return not inside or bool(inside & {*TRAIN, *TEST})
+    names = _subfolders(folder)
+    train, test = _spelled(folder, names, _TRAIN), _spelled(folder, names, _TEST)
+    if not names or (train and test):
+        return True
+    only = train or test
+    return only is not None and (
+        all(name.casefold() in (*_TRAIN, *_TEST) for name in names) or bool(_subfolders(folder / only))
+    )
 
 
-def split_folder(folder: Path, names: Sequence[str]) -> Path:
-    """Return the first folder in `names` that exists in `folder`; raises FileError if none does."""
+def train_folder(folder: Path) -> Path:
+    """Return the folder of the classes for training: a split, or the folder itself; raises FileError."""
+    return _split_folder(folder, _TRAIN)
+
+
+def test_folder(folder: Path) -> Path:
+    """Return the folder of the classes for tests: a split, or the folder itself; raises FileError."""
+    return _split_folder(folder, _TEST)
+
+
+def _split_folder(folder: Path, names: Sequence[str]) -> Path:
     if not folder.is_dir():
         raise FileError(f"images.folder = {folder}: no such folder; correct the path")
-    split = next((folder / name for name in names if (folder / name).is_dir()), None)
-    if split is None:
+    if not is_split(folder):
+        return folder
+    if (name := _spelled(folder, _subfolders(folder), names)) is None:
         raise FileError(f"images.folder = {folder}: expected a folder {' or '.join(names)} in it, a folder per class")
-    return split
+    return folder / name
 
 
-def classes(split: Path) -> list[str]:
+def _subfolders(folder: Path) -> list[str]:
+    with os.scandir(folder) as entries:
+        return [entry.name for entry in entries if not entry.name.startswith(".") and _is_folder(entry)]
+
+
+def _is_folder(entry: "os.DirEntry[str]") -> bool:
+    """Return whether an entry is a folder or a link to one; `is_dir` raises OSError for a link to itself."""
+    return entry.is_dir(follow_symlinks=False) or (entry.is_symlink() and os.path.isdir(entry.path))
+
+
+def _spelled(folder: Path, names: Sequence[str], spellings: Sequence[str]) -> str | None:
+    """Return the name of a split in any case, by the first of its spellings that occurs; raises FileError for two."""
+    for spelling in spellings:
+        same = sorted(name for name in names if name.casefold() == spelling)
+        if len(same) > 1:
+            raise FileError(f"{folder}: {' and '.join(same)} have the name of one split; merge them, or rename one")
+        if same:
+            return same[0]
+    return None
+
+
+def classes(split: Path, least: int = 2) -> list[str]:
     """Return the names of the class folders in a split, in class order.
 
+    Args:
+        least: smallest number of classes.
+
     Raises:
-        FileError: there is no class folder, or two names differ only in how Unicode composes their letters.
+        FileError: there are fewer, a class has splits in turn, or two names differ only in how Unicode composes their
+            letters.
     """
-    inside = [entry.name for entry in split.iterdir() if entry.is_dir() and not entry.name.startswith(".")]
+    inside = _subfolders(split)
     if not inside:
         raise FileError(f"{split}: expected a folder per class in it, found none")
+    if deeper := next((name for name in sorted(inside) if _has_splits(split / name)), None):
+        raise FileError(f"{split}: expected a folder per class, but {deeper} has train and test; give {split / deeper}")
+    if len(inside) < least:
+        advice = f"; if its folders are the classes, give {split / inside[0]}" * bool(_subfolders(split / inside[0]))
+        raise FileError(f"{split}: expected two classes or more, a folder each, found only {inside[0]}{advice}")
     if len(inside) > len({composed(name) for name in inside}):
         duplicate = next(name for name in inside if sum(composed(name) == composed(other) for other in inside) > 1)
         raise FileError(f"{split}: two folders are called {duplicate}, with letters composed in two ways; merge them")
     return sorted(inside, key=composed)
+
+
+def _has_splits(folder: Path) -> bool:
+    """Return whether a folder has two splits with folders of classes, without listing its photographs."""
+
+    def has_split(spellings: Sequence[str]) -> bool:
+        paths = (folder / name for spelling in spellings for name in (spelling, spelling.title(), spelling.upper()))
+        return any(path.is_dir() and bool(_subfolders(path)) for path in paths)
+
+    return has_split(_TRAIN) and has_split(_TEST)
 
 
 def composed(name: str) -> str:
@@ -57,7 +120,7 @@ def composed(name: str) -> str:
 
 def training_classes(folder: Path) -> list[str]:
     """Return the names of the classes of the training images; raises FileError."""
-    return classes(split_folder(folder, TRAIN) if is_split(folder) else folder)
+    return classes(train_folder(folder))
 
 
 def photographs(folder: Path) -> Iterator[Path]:
@@ -66,18 +129,64 @@ def photographs(folder: Path) -> Iterator[Path]:
     Raises:
         FileError: an image has an unsupported format or is not a regular file.
     """
-    with os.scandir(folder) as entries:
-        for entry in entries:
-            if entry.name.startswith("."):
-                continue
-            if entry.is_dir(follow_symlinks=False):
-                yield from photographs(Path(entry.path))
-            elif entry.name.lower().endswith(SUFFIXES):
-                if not entry.is_file():  # reading a pipe would block forever
-                    raise FileError(f"{entry.path}: a pipe, a folder or a link to nothing; remove it")
-                yield Path(entry.path)
-            elif entry.name.lower().endswith(OTHERS):
-                raise FileError(f"{entry.path}: expected {', '.join(SUFFIXES)}; convert it, or remove it")
+    return (path for path, kind in _entries(folder) if not kind)
+
+
+def contents(folder: Path) -> tuple[list[Path], Counter[str]]:
+    """Return the photographs of a class in order, and the number of other files by kind; raises as `photographs`."""
+    files, others = [], Counter[str]()
+    for path, kind in _entries(folder):
+        if kind:
+            others[kind] += 1
+        else:
+            files.append(path)
+    return sorted(files), others
+
+
+def beside_classes(split: Path) -> Counter[str]:
+    """Return the number of files beside the class folders of a split, by kind."""
+    files = [path for path in split.iterdir() if not path.name.startswith(".") and not path.is_dir()]
+    return Counter(
+        "photographs in no class folder" if path.suffix.lower() in SUFFIXES else _kind(path.name) for path in files
+    )
+
+
+def passed_over(folder: Path, others: Counter[str]) -> str:
+    """Return a line with the number of files that are not read, by kind; empty if there are none."""
+    counts = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
+    return counts and f"{folder}: passed over: {counts}"
+
+
+def _kind(name: str) -> str:
+    return Path(name).suffix.lower() or "without a suffix"
+
+
+def _entries(folder: Path) -> Iterator[tuple[Path, str]]:
+    """Yield all files of a class, each with its kind, which is empty for a photograph; raises as `photographs`."""
+    class_folder, split = folder.resolve(), folder.parent.resolve()
+    seen = {*class_folder.parents, split, *split.parents}  # a link there leads to other classes, or in a circle
+    waiting = [folder]
+    while waiting:
+        here = waiting.pop()
+        if (real := here.resolve()) in seen:
+            yield here, "links to folders that are read already"
+            continue
+        seen.add(real)
+        with os.scandir(here) as entries:
+            for entry in entries:
+                if entry.name.startswith("."):
+                    continue
+                path = Path(entry.path)
+                if _is_folder(entry):
+                    waiting.append(path)
+                elif entry.name.lower().endswith(SUFFIXES):
+                    if not os.path.isfile(path):  # reading a pipe would block forever
+                        raise FileError(f"{path}: a pipe, a folder or a link to nothing; remove it")
+                    yield path, ""
+                elif entry.name.lower().endswith(OTHERS):
+                    raise FileError(f"{path}: expected {', '.join(SUFFIXES)}; convert it, or remove it")
+                else:
+                    yield path, _kind(entry.name)
 
 
 def no_image(folder: Path) -> FileError:
@@ -99,14 +208,13 @@ def check(images: ImageSettings) -> None:
     """
     if images.folder is None:
         return
-    if images.folder.is_dir() and not is_split(images.folder):
+    if not is_split(images.folder):
         _check_whole(images, images.folder)
         return
-    splits = [split_folder(images.folder, names) for names in (TRAIN, TEST)]
-    train, test = (classes(split) for split in splits)
+    splits = [train_folder(images.folder), test_folder(images.folder)]
+    train, test = (classes(split, 1) for split in splits)
     same_classes(images.folder, train, test)
-    if len(train) < 2:
-        raise FileError(f"{splits[0]}: expected two classes or more, a folder each, found only {train[0]}")
+    training_classes(images.folder)  # two or more
     for split in splits:
         for name in classes(split):
             if next(photographs(split / name), None) is None:
@@ -124,8 +232,7 @@ def check(images: ImageSettings) -> None:
 
 def _check_whole(images: ImageSettings, folder: Path) -> None:
     """Check a folder of classes that will be split into test, minival and training images; raises FileError."""
-    if len(names := classes(folder)) < 2:
-        raise FileError(f"{folder}: expected two classes or more, a folder each, found only {names[0]}")
+    names = classes(folder)
     if images.train is None and images.test is None:
         raise FileError(
             f"images.folder = {folder}: has neither train nor test; set images.test or images.train to the number of "
@@ -141,7 +248,7 @@ def _check_whole(images: ImageSettings, folder: Path) -> None:
 
 def count(split: Path, most: int) -> int:
     """Count the photographs in the folder of a split, up to `most`."""
-    return sum(1 for _ in islice((file for name in classes(split) for file in photographs(split / name)), most))
+    return sum(1 for _ in islice((file for name in classes(split, 1) for file in photographs(split / name)), most))
 
 
 def too_few(images: ImageSettings, total: int) -> FileError:

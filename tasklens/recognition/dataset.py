@@ -80,11 +80,11 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
         pool = _rendered(images.train + images.minival, 2 * images.seed, images)
         test = _rendered(images.test, 2 * images.seed + 1, images)
     elif not class_folders.is_split(images.folder):
-        return _cut(images, folders.find(images.folder, (".",), None, images.seed))
+        return _cut(images, folders.find(images.folder, None, images.seed))
     else:
         limit = None if images.train is None else images.train + images.minival
-        pool = folders.find(images.folder, class_folders.TRAIN, limit, images.seed)
-        test = folders.find(images.folder, class_folders.TEST, images.test, images.seed)
+        pool = folders.find(class_folders.train_folder(images.folder), limit, images.seed)
+        test = folders.find(class_folders.test_folder(images.folder), images.test, images.seed)
         class_folders.same_classes(images.folder, pool.classes, test.classes)
     if len(pool) <= images.minival:
         raise class_folders.too_few(images, len(pool))
@@ -119,9 +119,7 @@ def training_images(images: ImageSettings, path: Path, *, device: torch.device =
     if images.folder is None:
         assert images.train is not None  # rendered images need counts
         return replace(_rendered(images.train, 2 * images.seed, images), device=device)
-    if not images.folder.is_dir():
-        raise FileError(f"{images.folder}: no such folder of images")
-    listing = folders.find(images.folder, ("train", "."), images.train, images.seed)
+    listing = folders.find(class_folders.train_folder(images.folder), images.train, images.seed, least=1)
     folders.convert(listing, images.size, path, torch.get_num_threads())
     return ImageDataset(map_array(path), listing.labels, listing.classes, device)
 

@@ -1,5 +1,6 @@
 """Selection of photographs in folders, and their conversion to uint8 arrays on disk."""
 
+import sys
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -36,26 +37,28 @@ class Listing:
         return Listing(tuple(self.files[i] for i in indices.tolist()), self.labels[indices], self.classes)
 
 
-def find(folder: Path, names: Sequence[str], limit: int | None, seed: int) -> Listing:
-    """Select at most `limit` photographs in folder/<name>/<class>/*, at random by `seed`.
+def find(split: Path, limit: int | None, seed: int, least: int = 2) -> Listing:
+    """Select at most `limit` photographs in <split>/<class>/*, at random by `seed`; print what is passed over.
 
     Every part of their order has the classes in proportion to their sizes.
 
     Args:
-        names: possible names of the split's folder; the first that exists is taken.
+        least: smallest number of classes.
 
     Raises:
-        FileError: the folder does not exist, has no class, or has a class without photographs.
+        FileError: there are too few classes, or one has no photographs.
     """
-    split = class_folders.split_folder(folder, names)
-    classes = class_folders.classes(split)
+    classes = class_folders.classes(split, least)
     generator = torch.Generator().manual_seed(seed)
-    per_class = []
+    per_class, others = [], class_folders.beside_classes(split)
     for name in classes:
-        files = sorted(class_folders.photographs(split / name))
+        files, others_inside = class_folders.contents(split / name)
         if not files:
             raise class_folders.no_image(split / name)
+        others += others_inside
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
+    if words := class_folders.passed_over(split, others):
+        print(f"tasklens: {words}", file=sys.stderr)
     places = [((i + 0.5) / len(files), k, file) for k, files in enumerate(per_class) for i, file in enumerate(files)]
     selection = sorted(places)[:limit]
     return Listing(

@@ -98,21 +98,17 @@ def _items(pairs: Any, limit: int | None) -> Iterable[tuple[int, Any]]:
     return enumerate(pairs)
 
 
-def of_folder(folder: Path, names: Sequence[str], size: int, start: int, limit: int) -> ImageDataset:
-    """Read at most `limit` photographs of a folder, from index `start` of their random order.
-
-    Args:
-        names: possible names of the subfolder that contains the classes; "." is the folder itself.
+def of_folder(split: Path, size: int, start: int, limit: int) -> ImageDataset:
+    """Read at most `limit` photographs <split>/<class>/*, from index `start` of their random order.
 
     Raises:
         FileError: as in `folders.find` and `folders.read`.
     """
-    listing = folders.find(folder, names, start + limit, 0)
+    listing = folders.find(split, start + limit, 0)
     listing = listing.take(torch.arange(len(listing))[start:])
     return ImageDataset(folders.read_all(listing.files, size), listing.labels, listing.classes)
 
 
 def test_images(folder: Path, size: int, limit: int) -> ImageDataset:
     """Read at most `limit` test photographs of a folder: test/<class>/* (or val), or <class>/*; raises FileError."""
-    names = class_folders.TEST if class_folders.is_split(folder) else (".",)
-    return of_folder(folder, names, size, 0, limit)
+    return of_folder(class_folders.test_folder(folder), size, 0, limit)

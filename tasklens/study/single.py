@@ -6,8 +6,10 @@ from pathlib import Path
 from typing import Any
 
 import yaml
+from pydantic import TypeAdapter
 
 from tasklens.runtime.errors import InputError
+from tasklens.study.design_settings import DesignSettings, GradientDesignSettings
 from tasklens.study.layers import merged_settings
 from tasklens.study.loading import parse
 from tasklens.study.study import Study
@@ -17,6 +19,9 @@ NETWORK = "network"
 TRAINING = ("joint", "end_to_end")  # methods that train the network with the lens
 _FIRST = "least_squares"  # designed first if a design starts from the best imaging lens
 _SIDE = 64  # of rendered images [pixels]
+_BY_NUMBER = (
+    'a list replaces all descents; {"descents": {"0": {"steps": 200}}} (--set descents.0.steps=200) changes one'
+)
 
 
 @cache
@@ -76,6 +81,7 @@ def study(
         "restoration": {"steps": 1, "encoder": [1], "decoder": [1]},
     }
     result = parse(content)
+    _check_method(method, result.designs[method])
     if baselines:
         last = designs.pop(method)
         others = {criterion: _with_criterion(criterion, last) for criterion in baselines}
@@ -83,13 +89,35 @@ def study(
     given, classified = classifier is not None or network_given, any(lens.classified for lens in result.lenses.values())
     if classified and not given:
         raise InputError(f"method {method}: needs a network: --network NAME --weights FILE, in Python `network`")
-    if method not in TRAINING and any(part.trains_network for lens in result.lenses.values() for part in lens.descents):
-        raise InputError(f"network_learning_rate: only with the methods {' and '.join(TRAINING)}, not {method}")
     if given and not classified:
         raise InputError(f"method {method}: has no network; choose task, joint or end_to_end, or give no network")
     if images is not None and not any(lens.reads_images for lens in result.lenses.values()):
         raise InputError(f"method {method}: has no images; choose another method, or give no images")
     return result
+
+
+def _check_method(method: str, design: DesignSettings) -> None:
+    """Raise InputError if settings make a method another one: other steps, criterion, or use of the network."""
+    own: DesignSettings = TypeAdapter(DesignSettings).validate_python(methods()[method])
+    if design.method != own.method:
+        raise InputError(f"method {method}: expected its own settings, got `method: {design.method}`; omit this key")
+    if not (isinstance(design, GradientDesignSettings) and isinstance(own, GradientDesignSettings)):
+        return
+    last, criterion = design.descents[-1], own.descents[-1].criterion
+    if last.criterion != criterion:
+        raise InputError(
+            f"method {method}: expected `criterion: {criterion}` in its last descent, got {last.criterion}; "
+            f"{_BY_NUMBER}"
+        )
+    if design.by_network and not own.by_network:
+        raise InputError(f"method {method}: expected descents without a network, got `criterion: task`; {_BY_NUMBER}")
+    if method in TRAINING and not last.trains_network:
+        raise InputError(
+            f"method {method}: expected a network_learning_rate in its last descent, since it trains the network, got "
+            f"none; {_BY_NUMBER}; the method task does not train it"
+        )
+    if method not in TRAINING and any(part.trains_network for part in design.descents):
+        raise InputError(f"network_learning_rate: only with the methods {' and '.join(TRAINING)}, not {method}")
 
 
 def _with_criterion(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,67 @@
+"""Settings may change how a design method works, but not which method it is."""
+
+import pytest
+
+from tasklens.cli.app import main
+from tasklens.runtime.errors import InputError
+from tasklens.study import single
+
+CRITERIA = ("task", "spot", "image_error", "log_image_error", "correlation", "contrast")
+
+
+def study(method: str, settings: dict):
+    given = method in ("task", *single.TRAINING)
+    return single.study(method, ["COC"], {}, settings, {}, (), None, None, network_given=given)
+
+
+@pytest.mark.parametrize("method", [name for name in single.methods() if name != "least_squares"])
+@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("rate", [None, 1e-3])
+@pytest.mark.parametrize("form", ["list", "several", "number"])
+def test_a_method_keeps_its_criterion_and_its_use_of_the_network(method, criterion, rate, form):
+    """Every criterion and network learning rate, in all forms of settings: accepted if they are those of the method."""
+    own = single.methods()[method]["descents"][-1]
+    change = {"criterion": criterion} | ({} if rate is None else {"network_learning_rate": rate})
+    settings = {
+        "list": {"start": "flat", "descents": [{"steps": 2, **change}]},
+        "several": {"start": "flat", "descents": [{"steps": 2, "criterion": "contrast"}, {"steps": 2, **change}]},
+        "number": {"start": "flat", "descents": {"0": change}},
+    }[form]
+    trains = rate is not None or (form == "number" and "network_learning_rate" in own)
+    kept = criterion == own.get("criterion", "task") and trains == (method in single.TRAINING)
+    if kept:
+        assert study(method, settings).designs[method].descents[-1].criterion == criterion
+    else:
+        with pytest.raises(InputError, match=f"{method}|network_learning_rate"):
+            study(method, settings)
+
+
+def test_a_descent_before_the_last_brings_no_network_into_a_method_without_one():
+    """Other criteria of image quality may come first, and a frozen network before it is trained."""
+    last = {"steps": 2, "criterion": "correlation"}
+    for first, accepted in (("spot", True), ("log_image_error", True), ("task", False)):
+        settings = {"start": "flat", "descents": [{"steps": 2, "criterion": first}, last]}
+        if accepted:
+            study("correlation", settings)
+        else:
+            with pytest.raises(InputError, match="method correlation: expected descents without a network"):
+                study("correlation", settings)
+    study("joint", {"start": "flat", "descents": [{"steps": 2}, {"steps": 2, "network_learning_rate": 1e-3}]})
+    for descents in (
+        [{"steps": 2, "network_learning_rate": 1e-3}, {"steps": 2}],
+        {"0": {"network_learning_rate": None, "final": 0.1}},
+    ):
+        with pytest.raises(InputError, match="method joint: expected a network_learning_rate in its last descent"):
+            study("joint", {"start": "flat", "descents": descents})
+
+
+def test_descents_are_no_least_squares():
+    with pytest.raises(InputError, match="method least_squares: expected its own settings, got `method: descents`"):
+        study("least_squares", {"method": "descents", "descents": [{"steps": 2, "criterion": "spot"}]})
+
+
+def test_the_command_refuses_them_too(tmp_path, capsys):
+    """As a list, which replaces the descents of the method."""
+    words = ("--method", "contrast", "--set", "descents=[{steps: 2}]", "-o", str(tmp_path / "lens.yaml"))
+    assert main(["design", *words]) == 2
+    assert "expected `criterion: contrast` in its last descent, got task" in capsys.readouterr().err
