@@ -46,8 +46,8 @@ def test_rendered_images_have_no_folder():
     "gone, words",
     [
         ("", r"images\.folder = .*: no such folder"),
-        ("train", r"images\.folder = .*: expected a folder train or training in it"),
-        ("test", r"images\.folder = .*: expected a folder test or .* in it"),
+        ("train", r"images\.folder = .*: expected a folder train in it"),
+        ("test", r"images\.folder = .*: expected a folder test or val in it"),
         ("test/dog", r"train and test have different classes: dog$"),
         ("train/cat", r"train and test have different classes: cat$"),
         ("train/cat/0.png", r"expected fewer than the 3 training images"),

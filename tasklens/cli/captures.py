@@ -8,7 +8,7 @@ import typer
 
 from tasklens.cli.lens import Colour, File, FullWell, Rays
 from tasklens.cli.lens_options import Seed
-from tasklens.cli.outputs import say
+from tasklens.cli.outputs import remarks_about, say
 from tasklens.cli.progress_bars import progress_bars
 
 
@@ -31,6 +31,6 @@ def captures(
     lens = read(file)
     index = None if field == "random" else lens.view.named_fields[field]
     sensor = None if full_well is None else SensorSettings(full_well=full_well)
-    with progress_bars():
+    with progress_bars(), remarks_about(file):
         count = capture_folder(folder, output, lens.lens, lens.view, size, index, seed, colour, sensor, rays)
     say(f"wrote {count} captures to {output}; {FIELDS} has their fields")

@@ -22,7 +22,7 @@ from tasklens.cli.network_options import (
     nested,
     network_settings,
 )
-from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, say, say_catalogue
+from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
@@ -178,13 +178,15 @@ def design(
         assert result.trained_weights is not None  # by these methods
         write_tensors(save_network, result.trained_weights, {"lens": str(output)})
         say(f"wrote {save_network}")
+    if result.remark:
+        say(f"{output}: {result.remark}")
     lens_files.write(output, result.prescription, notes)
     say_catalogue(output, lens.media)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:
         from tasklens.notebook.verdict import verdict as judged
 
-        with progress_bars():
+        with progress_bars(), remarks_about(output):
             answer, ranking = judged(result, test_images)
         ranking.save(page, "Lens comparison", [answer])
         summary |= {"verdict": answer, "page": str(page)}

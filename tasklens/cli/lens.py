@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, Seed, lens_command, reader
-from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, say, say_catalogue
+from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
@@ -146,7 +146,9 @@ def psf(
 
     new_file(output, force, ".npz", ".safetensors", ".png")
     lens = read(file)
-    image_files.write_psf(output, notebook.psf(lens.lens, lens.view, rays, diffraction), lens.lens, lens.view)
+    with remarks_about(file):
+        grid = notebook.psf(lens.lens, lens.view, rays, diffraction)
+    image_files.write_psf(output, grid, lens.lens, lens.view)
     say(f"wrote {output}")
 
 
@@ -206,20 +208,21 @@ def simulate(
             "illumination": illumination,
             "rays": rays,
         }
-        with progress_bars():
+        with progress_bars(), remarks_about(file):
             captures = notebook.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
         say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
     else:
-        captures = notebook.simulate(
-            lens.lens,
-            lens.view,
-            image,
-            None if grid else [_field(lens.view, field)],
-            colour=colour,
-            sensor=None if full_well is None else SensorSettings(full_well=full_well),
-            rays=rays,
-            diffraction=diffraction,
-        )
+        with remarks_about(file):
+            captures = notebook.simulate(
+                lens.lens,
+                lens.view,
+                image,
+                None if grid else [_field(lens.view, field)],
+                colour=colour,
+                sensor=None if full_well is None else SensorSettings(full_well=full_well),
+                rays=rays,
+                diffraction=diffraction,
+            )
     image_files.write_captures(output, captures)
     say(f"wrote {output}")
 

@@ -1,7 +1,9 @@
 """What commands print and write: tables, JSON, and files that are not overwritten by accident."""
 
 import sys
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -44,6 +46,24 @@ def say_catalogue(path: Path, media: Sequence[Material]) -> None:
 def print_json(content: Any) -> None:
     """Print JSON; numbers that are not finite become null."""
     print(to_json(content, indent=2, inf_nan_mode="null").decode())
+
+
+@contextmanager
+def remarks_about(path: Path) -> Iterator[None]:
+    """Say each warning of our Python functions about a file once, as a message on standard error."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("always", UserWarning)
+        show, said = warnings.showwarning, set()
+
+        def say_once(message: Warning | str, category: type[Warning], *where: Any) -> None:
+            if category is not UserWarning:
+                show(message, category, *where)
+            elif (text := str(message)) not in said:
+                said.add(text)
+                say(f"{path}: {text}")
+
+        warnings.showwarning = say_once
+        yield
 
 
 def say(text: str) -> None:

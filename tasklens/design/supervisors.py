@@ -11,6 +11,7 @@ from torch import Tensor, nn
 
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
+from tasklens.optics.psf import window_remark
 from tasklens.optics.view import View
 from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
@@ -65,6 +66,11 @@ class Designs:
             return None
         network = self.trained.network if isinstance(self.trained, Classifier) else self.trained
         return network.state_dict()
+
+    @property
+    def remark(self) -> str:
+        """Remark on the light outside the PSF window of the lens; empty if it is less than half."""
+        return window_remark(torch.tensor(self.notes["figures"]["energy_in_window"]), self.view.kernel_size)
 
     @property
     def lens(self) -> Lens:

@@ -1,5 +1,6 @@
 """PSFs of a lens at the fields where networks are trained, lenses are chosen, and lenses are graded."""
 
+import sys
 from pathlib import Path
 
 import torch
@@ -8,7 +9,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
-from tasklens.optics.psf import psf_notes
+from tasklens.optics.psf import energy_inside, psf_notes, window_remark
 from tasklens.optics.view import drawn_points, view_of_spec
 from tasklens.study.job_settings import PsfJob
 
@@ -29,6 +30,8 @@ def run(settings: PsfJob, lens: Path, psf: Path) -> None:
     view = view_of_spec(settings.spec).at(points)
     design = prescription.read(lens)[0].lens
     grid = evaluation_psf(design, view, settings.rays, diffraction=settings.diffraction)
+    if remark := window_remark(energy_inside(grid), view.kernel_size, "take a larger spec.kernel_size"):
+        print(f"tasklens: {lens}: {remark}", file=sys.stderr)
     light = relative_illumination(design, view) if settings.sensor else torch.ones(len(points))  # it takes seconds
     notes = psf_notes(view, grid) | {"rays": settings.rays, "diffraction": settings.diffraction}
     psf_files.write(psf, FieldPsfs(grid, light), sets, notes)

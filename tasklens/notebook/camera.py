@@ -1,5 +1,6 @@
 """A lens and a sensor in front of a network, for a user's own training loop."""
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 
 import torch
@@ -14,6 +15,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import check_rays
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
+from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.runtime.errors import InputError
 from tasklens.study.settings import Constraints, SensorSettings
@@ -30,7 +32,8 @@ class Camera(nn.Module):
     variables and lenses of any size: curvatures times the illuminated radius R of the surface, distances divided by the
     focal length, and coefficients alpha_k R^(k - 1). An Adam step of 1e-3 moves a surface of a phone lens by about a
     micrometre; weight decay draws the lens back to the initial one. If the stop is inside the lens, gradients neglect
-    the change of its radius, which keeps the F-number.
+    the change of its radius, which keeps the F-number. A warning says once if less than half of the light of a field
+    is inside the PSF window.
 
     Args:
         lens: the initial lens.
@@ -86,6 +89,8 @@ class Camera(nn.Module):
                 self.variables[name] = nn.Parameter(torch.zeros_like(values))
         numbers = [*self._variables.values().values(), *self._scales.values(), *self._free.values()]
         numbers = [*numbers, torch.tensor([_FORMAT])]  # a state of parameters with another meaning does not fit
+        self._remarked = False
+        self._remark(evaluation_psf(start, self.view, rays))
         self._start = torch.cat([values.detach().double().flatten() for values in numbers])
 
     @property
@@ -150,6 +155,12 @@ class Camera(nn.Module):
         """
         return penalty(self.lens, self.limits, self.view)
 
+    def _remark(self, psf: Tensor) -> None:
+        """Warn the first time that less than half of the light of a field is inside the PSF window."""
+        if not self._remarked and (remark := window_remark(energy_inside(psf), self.view.kernel_size)):
+            self._remarked = True
+            warnings.warn(remark, stacklevel=3)
+
     def _camera(self, images: Tensor, view: View) -> PsfCamera:
         check_images(images)
         low, high = (float(bound) for bound in images.detach().aminmax())
@@ -159,7 +170,9 @@ class Camera(nn.Module):
         if bad := lens.not_finite:
             raise InputError(f"{bad} of the lens is not finite: the training diverged; lower the learning rate")
         light = None if self.sensor is None else relative_illumination(lens.detached(), view)
-        psf = evaluation_psf(lens, view, self.rays).float().to(images.device)
+        psf = evaluation_psf(lens, view, self.rays)
+        self._remark(psf)
+        psf = psf.float().to(images.device)
         return PsfCamera(
             psf, colour=self.colour, outside_window=self.outside_window, sensor=self.sensor, illumination=light
         )

@@ -1,5 +1,6 @@
 """Captures of an image through a lens, for notebooks."""
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
@@ -8,10 +9,10 @@ import torch
 from torch import Tensor
 
 from tasklens.imaging import PsfCamera, check_capture
-from tasklens.notebook.lenses import psf
 from tasklens.optics.analysis.illumination import relative_illumination
-from tasklens.optics.analysis.spots import has_light
+from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.lens import Lens
+from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View
 from tasklens.recognition.image_tensor import Image, image_tensor
 from tasklens.runtime.errors import InputError
@@ -44,7 +45,8 @@ def simulate(
         rays, diffraction: as in `psf`.
 
     Returns:
-        (F, 3, H, W) captures, differentiable in the image and the lens; relative illumination has no gradient.
+        (F, 3, H, W) captures, differentiable in the image and the lens; relative illumination has no gradient. A
+        warning says if less than half of the light of a field is inside the PSF window.
 
     Raises:
         InputError: the image cannot be read, or is smaller than half a PSF; a field is no point or is beyond those of
@@ -65,7 +67,9 @@ def simulate(
         )
     view = view.in_colours()
     check_light(lens, view)
-    grid = psf(lens, view, rays, diffraction)
+    grid = evaluation_psf(lens, view, rays, diffraction)
+    if remark := window_remark(energy_inside(grid), view.kernel_size):
+        warnings.warn(remark, stacklevel=2)
     illumination = None if sensor is None else relative_illumination(lens.detached(), view)
     camera = PsfCamera(grid, colour=colour, outside_window=outside_window, sensor=sensor, illumination=illumination)
     return camera.all_fields(source[None], torch.Generator().manual_seed(0))[:, 0]
@@ -93,7 +97,8 @@ def simulate_whole_sensor(
         rays: number of rays for each PSF and colour.
 
     Returns:
-        (3, H, W) capture, differentiable in the image and the lens; relative illumination has no gradient.
+        (3, H, W) capture, differentiable in the image and the lens; relative illumination has no gradient. A warning
+        says if less than half of the light of a field is inside the PSF windows.
 
     Raises:
         InputError: the image cannot be read or is too small, or the lens forms no image at its corners.
@@ -110,7 +115,10 @@ def simulate_whole_sensor(
     source, view = image_tensor(image), view.in_colours()
     shape = (source.shape[1], source.shape[2])
     pitch = image_pixel_pitch_um or pitch_on_sensor(lens, view, shape)
-    return capture(source, trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination), colour)
+    psfs = trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination)
+    if remark := window_remark(psfs.energy_inside, 2 * psfs.margin + 1, "take larger pixels of the image"):
+        warnings.warn(remark, stacklevel=2)
+    return capture(source, psfs, colour)
 
 
 def check_light(lens: Lens, view: View) -> None:

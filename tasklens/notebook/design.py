@@ -115,6 +115,8 @@ def design_lens(
         spec=spec,
         remark=warn,
     )
+    if result.remark:
+        warnings.warn(f"design_lens: {result.remark}", stacklevel=2)
     if result.trained_weights is not None and isinstance(network, nn.Module):
         network.load_state_dict(result.trained_weights)
     return result.lens, result.view, result.notes

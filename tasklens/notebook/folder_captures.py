@@ -1,6 +1,7 @@
 """Captures of a folder of photographs, to train or to test a network elsewhere."""
 
 import sys
+import warnings
 from collections import Counter
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
+from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.recognition import class_folders, folders, user_images
 from tasklens.report.image_files import write_captures
@@ -76,9 +78,10 @@ def capture_folder(
     if field is None:
         view = view.at(drawn_points(_DRAWS, seed))
     illumination = None if sensor is None else relative_illumination(lens.detached(), view)
-    camera = PsfCamera(
-        evaluation_psf(lens.detached(), view, rays), colour=colour, sensor=sensor, illumination=illumination
-    )
+    grid = evaluation_psf(lens.detached(), view, rays)
+    if remark := window_remark(energy_inside(grid), view.kernel_size):
+        warnings.warn(remark, stacklevel=2)
+    camera = PsfCamera(grid, colour=colour, sensor=sensor, illumination=illumination)
     generator = torch.Generator().manual_seed(seed)
     fields = torch.randint(len(view.fields), (len(files),), generator=generator)
     if field is not None:

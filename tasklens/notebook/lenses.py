@@ -22,6 +22,7 @@ from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.io.typed import typed
 from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.lens import Lens
+from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.report import drawing
@@ -232,12 +233,15 @@ def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> 
     Returns:
         (F, W, K, K) energies on the sensor's pixels around the chief ray, in the order of `view.wavelengths_um`
         (`view.in_colours()`: red, green, blue); rows run along y, columns along x. Each PSF sums to the fraction of the
-        light inside the window.
+        light inside the window; a warning says if that is less than half at a field.
 
     Example:
         >>> tasklens.psf(lens, view).sum((-2, -1))  # energy inside the window
     """
-    return evaluation_psf(lens, view, rays, diffraction)
+    grid = evaluation_psf(lens, view, rays, diffraction)
+    if remark := window_remark(energy_inside(grid), view.kernel_size):
+        warnings.warn(remark, stacklevel=3)  # torch's decorator is in between
+    return grid
 
 
 def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:

@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from tasklens.fields import GRADING, PAPER
 from tasklens.imaging import PsfCamera
@@ -19,6 +19,7 @@ from tasklens.optics.analysis.datasheet import means
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
+from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View
 from tasklens.recognition import classifiers, evaluation, user_images
 from tasklens.recognition.dataset import ImageDataset
@@ -137,13 +138,12 @@ def rank(
         better_than_guessing(sharp, len(dataset), answer.shape[1])
     except InputError as error:
         warnings.warn(f"rank: {error}", stacklevel=2)
-    correct, at_nine = (
-        {
-            name: _correct(classifier, dataset, lens, view.at(points), rays, name)
-            for name, (lens, view) in lenses.items()
-        }
-        for points in (GRADING, PAPER)
-    )
+    correct, at_nine = {}, {}
+    for name, (lens, view) in lenses.items():
+        correct[name], inside = _correct(classifier, dataset, lens, view.at(GRADING), rays, name)
+        if remark := window_remark(inside, view.kernel_size):
+            warnings.warn(f"rank: {name}: {remark}", stacklevel=2)
+        at_nine[name], _ = _correct(classifier, dataset, lens, view.at(PAPER), rays, name)
     for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
         warnings.warn(f"rank: {sentence}", stacklevel=2)
     ranks = report.ranked(correct)
@@ -160,14 +160,15 @@ def rank(
 
 def _correct(
     classifier: nn.Module, dataset: ImageDataset, lens: Lens, view: View, rays: int, name: str
-) -> pandas.DataFrame:
-    """Return the predictions through a lens: a row per image, a column per field."""
+) -> tuple[pandas.DataFrame, Tensor]:
+    """Return the predictions through a lens, a row per image and a column per field, and the energies in the window."""
     lens, view = lens.detached(), view.in_colours()
     try:
         check_light(lens, view)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
-    camera = PsfCamera(evaluation_psf(lens, view, rays).to(dataset.device))
+    grid = evaluation_psf(lens, view, rays)
+    camera = PsfCamera(grid.to(dataset.device))
     correct = evaluation.evaluate(classifier, dataset, CapturePipeline(camera), name).correct
     frame = pandas.DataFrame(evaluation.by_image({"field": correct.int()}, dataset))
-    return frame.set_index(["image", "label"])
+    return frame.set_index(["image", "label"]), energy_inside(grid)

@@ -8,6 +8,8 @@ from torch import Tensor
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 
+_LEAST_ENERGY = 0.5  # inside the PSF window, without a remark
+
 
 def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Tensor:
     """Compute the PSF of every field and wavelength on a window of pixels.
@@ -45,6 +47,29 @@ def psf(rays: Rays, centre: Tensor, pixel_pitch: float, kernel_size: int) -> Ten
     energy = torch.zeros(fields * channels * kernel_size * kernel_size, dtype=rays.x.dtype)
     energy = energy.index_add(0, torch.stack(indices).flatten(), torch.stack(weights).flatten())
     return energy.reshape(fields, channels, kernel_size, kernel_size) / count
+
+
+def energy_inside(grid: Tensor) -> Tensor:
+    """Compute the energy (F,) inside the window, the mean over the wavelengths of PSFs (F, W, K, K)."""
+    return grid.detach().sum((-2, -1)).mean(1)
+
+
+def window_remark(inside: Tensor, kernel_size: int, advice: str = "take a larger kernel_size (--kernel-size)") -> str:
+    """Return a remark if less than half of the light of a field is inside the PSF window; empty if not.
+
+    Args:
+        inside: (F,) energies inside the window, fractions of the light.
+        kernel_size: its width [pixels].
+        advice: what to do.
+    """
+    worst = float(inside.min())
+    if worst >= _LEAST_ENERGY:
+        return ""
+    where = f" at the worst of {len(inside)} fields" * (len(inside) > 1)
+    return (
+        f"the PSF window of {kernel_size} x {kernel_size} pixels holds only {100 * worst:.1f} % of the light{where}, and the "
+        f"rest has no shape in captures; focus the lens, or {advice}"
+    )
 
 
 def psf_notes(view: View, grid: Tensor) -> dict[str, Any]:

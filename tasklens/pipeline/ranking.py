@@ -19,6 +19,7 @@ from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.io import imported, lens_files
 from tasklens.optics.lens import Lens
+from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline.digest import NOT_INSTALLED, SNAKEFILE
 from tasklens.recognition import class_folders
@@ -168,7 +169,10 @@ def _screened(
     by = focus or imported.focus(details)
     if by != "file":
         lens = refocused(lens, view, "spot" if by == "spot" else "mtf")
-    return entry | {"focus": by}, float(mean_mtf(evaluation_psf(lens, view, _RAYS))), remarks
+    grid = evaluation_psf(lens, view, _RAYS)
+    if remark := window_remark(energy_inside(grid), view.kernel_size):
+        remarks.append(remark)
+    return entry | {"focus": by}, float(mean_mtf(grid)), remarks
 
 
 def _image_scale(lens: Lens, sensor: Spec) -> float:

@@ -54,7 +54,8 @@ def _split_folder(folder: Path, names: Sequence[str]) -> Path:
     if not is_split(folder):
         return folder
     if (name := _spelled(folder, _subfolders(folder), names)) is None:
-        raise FileError(f"images.folder = {folder}: expected a folder {' or '.join(names)} in it, a folder per class")
+        usual = "train" if names == _TRAIN else "test or val"
+        raise FileError(f"images.folder = {folder}: expected a folder {usual} in it, a folder per class")
     return folder / name
 
 

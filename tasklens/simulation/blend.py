@@ -54,6 +54,12 @@ class SensorPsfs:
     illumination: Tensor | None = None
 
     @property
+    def energy_inside(self) -> Tensor:
+        """Energy (Y X,) inside both windows, the mean over the colours."""
+        halo = 0 if self.halo is None else self.halo.detach().sum((-2, -1))
+        return (self.core.detach().sum((-2, -1)) + halo).mean(-1).flatten()
+
+    @property
     def margin(self) -> int:
         """Largest distance [pixels] of light beyond the frame."""
         halo = 0 if self.halo is None else self.halo_pixel * (self.halo.shape[-1] // 2)
