@@ -387,6 +387,60 @@ def test_every_door_gives_the_same_answers(here, tmp_path):
     assert set(table["focus"]) == {"file"} and (table["image_plane_shift_um"] == 0).all()
 
 
+def test_a_network_that_only_guesses_ranks_nothing_in_python():
+    """As in the command; too few images to tell are a warning."""
+    lenses, guesses = {"mine": singlet()}, Answers(lambda images: images.mean((2, 3)))
+    pairs = [(torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(k)), k % 3) for k in range(60)]
+    with pytest.raises(InputError, match=r"rank: the network recognises .* of 60 sharp images .* no better than guess"):
+        tasklens.rank(lenses, pairs, guesses)
+    with pytest.warns(UserWarning, match="too few images to tell it from guessing"):
+        tasklens.rank(lenses, pairs[:3], guesses, rays=64)
+
+
+def test_a_printed_ranking_is_its_table():
+    pairs = [(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10
+    brightness = Answers(lambda images: -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square())
+    result = tasklens.rank({"mine": singlet(), "fast": singlet(f_number=2.8)}, pairs, brightness, rays=64)
+    for text in (str(result), repr(result)):
+        heading, *rows = text.splitlines()
+        assert "accuracy [%]" in heading and {row.split()[0] for row in rows} <= {"mine", "fast", "1"}
+        assert len(rows) == 2 and "svg" not in text
+
+
+def test_outputs_of_imagenet_in_python():
+    """As in the command: classes by their WordNet ids, alone or among all; an unknown word and other outputs fail."""
+    names = ("n01440764", "n01514668", "n02102040")  # in ImageNet's order 0, 7 and 217
+
+    class Photographs(list):
+        classes = names
+
+    def answers(other: float):
+        """Logits of brightness for these classes, and one for another class."""
+
+        def logits(images):
+            values = torch.full((len(images), 1000), -9.0)
+            values[:, [0, 7, 217]] = -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square()
+            values[:, 500] = other
+            return values
+
+        return Answers(logits)
+
+    data = Photographs([(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10)
+    lenses, options = {"mine": singlet()}, {"rays": 64}
+    for other, outputs in ((1.0, "imagenet"), (-9.0, "all_imagenet")):
+        assert tasklens.rank(lenses, data, answers(other), outputs=outputs, **options).sharp == 100
+    for outputs in ("classes", "all_imagenet"):
+        with pytest.raises(InputError, match="no better than guessing"):
+            tasklens.rank(lenses, data, answers(1.0), outputs=outputs, **options)
+    with pytest.raises(InputError, match="outputs: expected classes, imagenet, all_imagenet, got 'all'"):
+        tasklens.rank(lenses, data, answers(1.0), outputs="all", **options)
+    with pytest.raises(InputError, match="expected logits of the 1000 classes of ImageNet"):
+        tasklens.rank(lenses, data, Answers(lambda images: images.mean((2, 3))), outputs="imagenet", **options)
+    data.classes = ("cat", "dog", "owl")
+    with pytest.raises(FileError, match="expected folders named by WordNet ids"):
+        tasklens.rank(lenses, data, answers(1.0), outputs="imagenet", **options)
+
+
 def test_lenses_are_screened_for_a_sensor(here, capsys):
     """Lenses keep size and F-number; with `scaled`, a narrow lens is enlarged until its field fills the sensor."""
     paths = pipeline.lens_paths([here / "lenses"])

@@ -89,6 +89,20 @@ def test_a_flag_is_true_or_false(tmp_path):
     assert status != 0 and "overwrite=maybe: expected true or false" in output
 
 
+def test_a_target_of_an_unknown_ablation_names_those_of_the_study(tmp_path):
+    """One that the study has is planned; a study without ablations says what to do."""
+    rays = {"elements": "singlet", "design": "tasklens", "variants": {"few": {"rays": 8}}}
+    study = tiny_study() | {"ablations": {"rays": rays, "more": rays | {"variants": {"many": {"rays": 32}}}}}
+    assert plan(tmp_path, study, "ablation_rays")["ablation"] == 1
+    for content, target, words in (
+        (study, "ablation_x", "ablation_x: tiny has no such ablation; expected ablation_more, ablation_rays"),
+        (study, "ablation_Rays", "ablation_Rays: tiny has no such ablation; expected ablation_more, ablation_rays"),
+        (tiny_study(), "ablation_rays", "ablation_rays: tiny has no such ablation; add it to `ablations`"),
+    ):
+        status, output = forked(tmp_path, content, "--dry-run", target)
+        assert status != 0 and words in output
+
+
 @pytest.mark.parametrize("target", ["tables", "verify"])
 def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
     """18 lenses of the default study, not all 24: nothing else waits for those of end-to-end design."""

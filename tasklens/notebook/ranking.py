@@ -10,6 +10,7 @@ from typing import Any
 
 import pandas
 import torch
+from timm.data import ImageNetInfo
 from torch import Tensor, nn
 
 from tasklens.fields import GRADING, PAPER
@@ -22,9 +23,10 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View
 from tasklens.recognition import classifiers, evaluation, user_images
+from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.recognition.sharp import better_than_guessing
+from tasklens.recognition.sharp import TooFewImages, better_than_guessing
 from tasklens.report import between_fields, headings
 from tasklens.report import ranking as report
 from tasklens.report.figures import section_svg
@@ -67,6 +69,9 @@ class Ranking:
         page = report.render(self.ranks, rows, self.drawings, [*answer, *self.sentences], **texts)
         write_text(Path(path), page)
 
+    def __repr__(self) -> str:
+        return headings.texts(self.table).to_string(index=False)
+
     def _repr_html_(self) -> str:
         table = headings.texts(self.table).to_html(index=False)
         return "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences) + table
@@ -78,6 +83,7 @@ def rank(
     network: nn.Module,
     *,
     size: int | None = None,
+    outputs: str = "classes",
     max_images: int = 500,
     rays: int = 4096,
 ) -> Ranking:
@@ -91,11 +97,15 @@ def rank(
         network: a module from images (B, 3, H, W) in [0, 1] to logits, on a GPU if its parameters are there. The
             images of a timm network are normalised as its `pretrained_cfg` says.
         size: side to which photographs of a folder are resized [pixels], by default 224.
+        outputs: "classes": the network has an output for each class of the images, perhaps with others behind them;
+            "imagenet": it has those of ImageNet, of which only those of the classes, named by WordNet ids, are answers;
+            "all_imagenet": all of them are answers.
         max_images: maximum number of images of a folder or of a data set of known length, drawn at random.
         rays: number of rays of each field and colour.
 
     Raises:
-        InputError: an image cannot be read, the network does not return logits, or a field gets no light.
+        InputError: an image cannot be read, the network does not return logits, or recognises sharp images no better
+            than by guessing, or a field gets no light.
 
     Example:
         >>> tasklens.rank({name: tasklens.load_lens(f"{name}.zmx") for name in ("a", "b")}, "photographs", network)
@@ -115,8 +125,38 @@ def rank(
     user_images.check_classes(dataset)
     if not isinstance(network, nn.Module):
         raise InputError(f"rank: expected a torch.nn.Module, got {type(network).__name__}")
+    subject = on_sharp_images(network, dataset, outputs)
+    try:
+        better_than_guessing(subject.accuracy, len(dataset), subject.outputs)
+    except TooFewImages as error:
+        warnings.warn(f"rank: {error}", stacklevel=2)
+    except InputError as error:
+        raise InputError(f"rank: {error}") from None
+    return measured(lenses, subject, rays)
+
+
+@dataclass(frozen=True)
+class OnSharpImages:
+    """A frozen network and images on its device, with its accuracy on them, and the number of its possible answers."""
+
+    network: Classifier
+    images: ImageDataset
+    accuracy: float
+    outputs: int
+
+
+def on_sharp_images(network: nn.Module, dataset: ImageDataset, outputs: str = "classes") -> OnSharpImages:
+    """Freeze a copy of a network, and compute its accuracy on sharp images.
+
+    Args:
+        outputs: as in `rank`.
+
+    Raises:
+        InputError: the network does not return logits of the classes.
+    """
     device = next((parameter.device for parameter in network.parameters()), CPU)
     dataset = replace(dataset, device=device)
+    used = classifiers.used_outputs(outputs, dataset.classes)
     image = dataset.batch(torch.arange(1))[0]
     try:
         classifier = classifiers.frozen(classifiers.of_user(network).to(device), image)
@@ -126,26 +166,29 @@ def rank(
         raise
     except Exception as error:  # of any layer
         raise InputError(f"rank: the network fails for images {tuple(image.shape[1:])}: {error}") from error
-    if answer.dim() != 2 or answer.shape[1] < max(len(dataset.classes), 2):
+    least = max(len(dataset.classes), 2) if used is None else ImageNetInfo().num_classes()
+    if answer.dim() != 2 or answer.shape[1] < least:
+        classes = f"{len(dataset.classes)} classes" if used is None else f"{least} classes of ImageNet (`outputs`)"
         raise InputError(
-            f"rank: the network returns a tensor {tuple(answer.shape)} for one image; expected logits of the "
-            f"{len(dataset.classes)} classes"
+            f"rank: the network returns a tensor {tuple(answer.shape)} for one image; expected logits of the {classes}"
         )
     if not answer.isfinite().all():
         raise InputError("rank: the network returns logits that are not finite")
-    sharp = float(evaluation.evaluate(classifier, dataset, CapturePipeline()).correct.double().mean())
-    try:
-        better_than_guessing(sharp, len(dataset), answer.shape[1])
-    except InputError as error:
-        warnings.warn(f"rank: {error}", stacklevel=2)
+    classifier.outputs = None if used is None else used.to(device)
+    accuracy = float(evaluation.evaluate(classifier, dataset, CapturePipeline()).correct.double().mean())
+    return OnSharpImages(classifier, dataset, accuracy, answer.shape[1] if used is None else len(used))
+
+
+def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, rays: int = 4096) -> Ranking:
+    """Return the ranking of lenses for a network."""
     correct, at_nine = {}, {}
     for name, (lens, view) in lenses.items():
-        correct[name], inside = _correct(classifier, dataset, lens, view.at(GRADING), rays, name)
+        correct[name], inside = _correct(subject, lens, view.at(GRADING), rays, name)
         if remark := window_remark(inside, view.kernel_size):
-            warnings.warn(f"rank: {name}: {remark}", stacklevel=2)
-        at_nine[name], _ = _correct(classifier, dataset, lens, view.at(PAPER), rays, name)
+            warnings.warn(f"rank: {name}: {remark}", stacklevel=3)
+        at_nine[name], _ = _correct(subject, lens, view.at(PAPER), rays, name)
     for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
-        warnings.warn(f"rank: {sentence}", stacklevel=2)
+        warnings.warn(f"rank: {sentence}", stacklevel=3)
     ranks = report.ranked(correct)
     rows, drawings = [], {}
     for place in ranks:
@@ -155,12 +198,10 @@ def rank(
         f_number = float(paraxial(lens.detached(), view.reference_um).f_number)
         rows.append(report.row(place, place.lens, at_nine[place.lens], f_number, field_of_view, rms_um))
         drawings[place.lens] = section_svg(lens.detached(), view)
-    return Ranking(pandas.DataFrame(rows), ranks, correct, at_nine, drawings, 100 * sharp)
+    return Ranking(pandas.DataFrame(rows), ranks, correct, at_nine, drawings, 100 * subject.accuracy)
 
 
-def _correct(
-    classifier: nn.Module, dataset: ImageDataset, lens: Lens, view: View, rays: int, name: str
-) -> tuple[pandas.DataFrame, Tensor]:
+def _correct(subject: OnSharpImages, lens: Lens, view: View, rays: int, name: str) -> tuple[pandas.DataFrame, Tensor]:
     """Return the predictions through a lens, a row per image and a column per field, and the energies in the window."""
     lens, view = lens.detached(), view.in_colours()
     try:
@@ -168,7 +209,7 @@ def _correct(
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
     grid = evaluation_psf(lens, view, rays)
-    camera = PsfCamera(grid.to(dataset.device))
-    correct = evaluation.evaluate(classifier, dataset, CapturePipeline(camera), name).correct
-    frame = pandas.DataFrame(evaluation.by_image({"field": correct.int()}, dataset))
+    camera = PsfCamera(grid.to(subject.images.device))
+    correct = evaluation.evaluate(subject.network, subject.images, CapturePipeline(camera), name).correct
+    frame = pandas.DataFrame(evaluation.by_image({"field": correct.int()}, subject.images))
     return frame.set_index(["image", "label"]), energy_inside(grid)

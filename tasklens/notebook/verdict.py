@@ -4,7 +4,7 @@ import torch
 
 from tasklens.design.single import BASELINES
 from tasklens.design.supervisors import Designs
-from tasklens.notebook.ranking import Ranking, rank
+from tasklens.notebook.ranking import Ranking, measured, on_sharp_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import between_fields
 from tasklens.report.bootstrap import interval, resampled_means
@@ -27,11 +27,10 @@ def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
     *_, name = designs.lenses
     lenses = {design: (lens, designs.view) for design, lens in designs.lenses.items()}
     order = torch.randperm(len(supervisors.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
-    choice = rank(
-        {criterion: lenses[criterion] for criterion in BASELINES}, supervisors.images.take(order), supervisors.network
-    )
+    of_the_design = on_sharp_images(supervisors.network, supervisors.images.take(order))
+    choice = measured({criterion: lenses[criterion] for criterion in BASELINES}, of_the_design)
     best = choice.ranks[0].lens
-    ranking = rank(lenses, unused, supervisors.network)
+    ranking = measured(lenses, on_sharp_images(supervisors.network, unused))
     task, baseline = (100 * ranking.correct[design].mean(axis=1).to_numpy() for design in (name, best))
     low, high = interval(resampled_means((task - baseline)[:, None])[:, 0])
     gain = float((task - baseline).mean())

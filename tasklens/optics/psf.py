@@ -67,8 +67,8 @@ def window_remark(inside: Tensor, kernel_size: int, advice: str = "take a larger
         return ""
     where = f" at the worst of {len(inside)} fields" * (len(inside) > 1)
     return (
-        f"the PSF window of {kernel_size} x {kernel_size} pixels holds only {100 * worst:.1f} % of the light{where}, and the "
-        f"rest has no shape in captures; focus the lens, or {advice}"
+        f"the PSF window of {kernel_size} x {kernel_size} pixels holds only {100 * worst:.1f} % of the light{where}, "
+        f"and the rest has no shape in captures; focus the lens, or {advice}"
     )
 
 

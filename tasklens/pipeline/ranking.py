@@ -276,7 +276,7 @@ def photographs(images: Mapping[str, Any]) -> str:
     """Say how many photographs are ranked, of how many, and what the others are for."""
     folder, tested, train = Path(images["folder"]), images["test"], images.get("train")
     split = class_folders.is_split(folder)
-    place = class_folders.split_folder(folder, class_folders.TEST) if split else folder
+    place = class_folders.test_folder(folder)
     total = class_folders.count(place, sys.maxsize)
     if tested == total:
         return f"{tested} photographs"

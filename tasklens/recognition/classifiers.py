@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from pickle import UnpicklingError
 from textwrap import shorten
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import timm
 import torch
@@ -119,7 +119,7 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
         FileError: the weights do not fit the network, or ImageNet does not have a class.
         InputError: the published head has another number of classes, and there is no training.
     """
-    outputs = None if settings.outputs == "classes" else imagenet_outputs(classes)
+    outputs = used_outputs(settings.outputs, classes)
     count = len(classes) if outputs is None else ImageNetInfo().num_classes()
     pretrained = settings.pretrained and weights is None
     if pretrained and not (settings.training and settings.training.epochs):
@@ -143,9 +143,6 @@ def build(settings: ClassifierSettings, classes: Sequence[str], weights: Path | 
             raise FileError(f"{path}: no weights for {settings.model} with {count} outputs: {reason}") from error
         if path.suffix == ".npz" and torch.equal(_head(network), head):  # timm's readers skip a head of another size
             raise FileError(f"{path}: its head is not that of {settings.model} with {count} outputs")
-    if outputs is not None and settings.outputs == "all_imagenet":
-        class_outputs = set(outputs.tolist())
-        outputs = torch.cat([outputs, torch.tensor([k for k in range(count) if k not in class_outputs])])
     return Classifier(network, outputs)
 
 
@@ -178,6 +175,24 @@ def _unreadable(path: Path, error: Exception) -> str:
     if isinstance(error, KeyError | EOFError | UnpicklingError):
         return "it is not a file of weights (.safetensors, .pth, .npz)"
     return shorten(text, _LONGEST, placeholder=" ...")
+
+
+def used_outputs(outputs: str, classes: Sequence[str]) -> Tensor | None:
+    """Return the indices of the used outputs by the setting `outputs`, those of the classes first; None: all, in order.
+
+    Raises:
+        InputError: an unknown setting.
+        FileError: ImageNet does not have a class.
+    """
+    if outputs not in (expected := get_args(ClassifierSettings.model_fields["outputs"].annotation)):
+        raise InputError(f"outputs: expected {', '.join(expected)}, got {outputs!r}")
+    if outputs == "classes":
+        return None
+    indices = imagenet_outputs(classes)
+    if outputs == "imagenet":
+        return indices
+    others = set(range(ImageNetInfo().num_classes())) - set(indices.tolist())
+    return torch.cat([indices, torch.tensor(sorted(others), dtype=torch.long)])
 
 
 def imagenet_outputs(classes: Sequence[str]) -> Tensor:

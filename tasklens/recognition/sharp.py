@@ -13,6 +13,10 @@ _BATCH = 32
 _DEVIATIONS = 3.0  # standard deviations above the accuracy of guessing
 
 
+class TooFewImages(InputError):
+    """Too few images to tell a network from guessing."""
+
+
 @torch.no_grad()
 def check_accuracy(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -> str:
     """Return a sentence with the accuracy of a network on sharp images.
@@ -21,7 +25,7 @@ def check_accuracy(network: Callable[[Tensor], Tensor], dataset: ImageDataset) -
         network: function from images (B, 3, H, W) in [0, 1] to logits.
 
     Raises:
-        InputError: the accuracy is no better than guessing, or there are too few images to tell.
+        InputError: the accuracy is no better than guessing, or there are too few images to tell (TooFewImages).
     """
     correct, outputs = [], len(dataset.classes)
     for indices in torch.arange(len(dataset)).split(_BATCH):
@@ -40,7 +44,7 @@ def better_than_guessing(accuracy: float, count: int, outputs: int) -> str:
     text = f"the network recognises {accuracy:.1%} of {count} sharp images (guessing: {chance:.1%})"
     margin = _DEVIATIONS * math.sqrt(chance * (1 - chance) / count)
     if chance + margin >= 1:
-        raise InputError(f"{text}: too few images to tell it from guessing; give more")
+        raise TooFewImages(f"{text}: too few images to tell it from guessing; give more")
     if accuracy <= chance + margin:
         raise InputError(
             f"{text}: no better than guessing; check its weights, its normalisation (arguments: "

@@ -155,6 +155,13 @@ def verification(_):
     return paper_tables.verification(STUDY)
 
 
+def no_ablation(wildcards):
+    """Raise StudyError for the target of an ablation that the study of the configuration does not have."""
+    targets = ", ".join(f"ablation_{name}" for name in STUDY.ablations)
+    advice = f"expected {targets}" if targets else "add it to `ablations`"
+    raise StudyError(f"ablation_{wildcards.unknown}: {STUDY.name} has no such ablation; {advice}")
+
+
 def at_points(pattern, **wildcards):
     """Return the file of a pattern at every point of the study."""
     return [path_of(pattern, study, **wildcards) for study in POINTS]

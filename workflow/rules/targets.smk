@@ -116,3 +116,11 @@ for name in STUDY.ablations:
             f"ablation_{name}"
         input:
             at_points(rules.ablation.output.csv, ablation=name),
+
+
+rule unknown_ablation:
+    """Reports an ablation that the study does not have."""
+    input:
+        no_ablation,
+    output:
+        "ablation_{unknown}",
