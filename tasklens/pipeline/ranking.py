@@ -262,6 +262,7 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool, foc
     train = _FOCUS if focused else 1
     if class_folders.is_split(folder):
         test, least = class_folders.count(class_folders.test_folder(folder), photographs), 1
+        train = max(1, min(train, class_folders.count(class_folders.train_folder(folder), train + _MINIVAL) - _MINIVAL))
     elif trained:
         test, least = class_folders.count(folder, _TESTED * photographs) // _TESTED, _TESTED
     else:
@@ -275,17 +276,17 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool, foc
 def photographs(images: Mapping[str, Any]) -> str:
     """Say how many photographs are ranked, of how many, and what the others are for."""
     folder, tested, train = Path(images["folder"]), images["test"], images.get("train")
-    split = class_folders.is_split(folder)
-    place = class_folders.test_folder(folder)
-    total = class_folders.count(place, sys.maxsize)
+    total = class_folders.count(class_folders.test_folder(folder), sys.maxsize)
     if tested == total:
         return f"{tested} photographs"
     words = f"{tested} of {total} photographs"
-    if split:
+    if class_folders.is_split(folder):
         return f"{words} (--max-images)"
     if train is None:
         return f"{words}; the network is trained on others"
-    return f"{words}; {_MINIVAL + train} others are {'for the focus' if train > 1 else 'needed as training images'}"
+    most = " (--max-images)" if tested + train + _MINIVAL < total else ""
+    purpose = "for the focus" if train > 1 else "needed as training images"
+    return f"{words}{most}; {_MINIVAL + train} others are {purpose}"
 
 
 def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
