@@ -1,10 +1,16 @@
 """Settings may change how a design method works, but not which method it is."""
 
 import pytest
+import torch
+from examples import changed, small_network, tiny_study
+from rules import ROOT
 
+import tasklens
 from tasklens.cli.app import main
 from tasklens.runtime.errors import InputError
 from tasklens.study import single
+from tasklens.study.loading import load, parse
+from tasklens.study.study import StudyError
 
 CRITERIA = ("task", "spot", "image_error", "log_image_error", "correlation", "contrast")
 
@@ -65,3 +71,36 @@ def test_the_command_refuses_them_too(tmp_path, capsys):
     words = ("--method", "contrast", "--set", "descents=[{steps: 2}]", "-o", str(tmp_path / "lens.yaml"))
     assert main(["design", *words]) == 2
     assert "expected `criterion: contrast` in its last descent, got task" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("side, name", [(64, "config"), (224, "photographs")])
+def test_from_flat_plates_a_design_has_the_schedule_of_the_studies(side, name):
+    """The design `tasklens` for such images; criteria of image quality have the same steps, for their comparison."""
+    own = load(ROOT / "config" / f"{name}.yaml").designs["tasklens"]
+    images = {"size": side, "train": 10, "minival": 2, "test": 10}
+    for method, criterion in (("task", "task"), ("correlation", "correlation")):
+        options = {"network_given": method == "task", "baselines": ["log_image_error"] if method == "task" else []}
+        result = single.study(method, ["COC"], {}, {"start": "flat"}, {}, (), images, None, **options)
+        for design in result.designs.values():
+            assert [part.steps for part in design.descents] == [part.steps for part in own.descents]
+        assert {part.criterion for part in result.designs[method].descents} == {criterion}
+        if method == "task":
+            assert result.designs["task"] == own and list(result.designs) == ["log_image_error", "task"]
+
+
+def test_a_study_may_name_a_method_as_its_design():
+    """It is the design of `tasklens design`; a study that extends this one may change it."""
+    named = parse(changed(tiny_study(), "designs.imaging1", "spot"))
+    written = parse(changed(tiny_study(), "designs.imaging1", single.methods()["spot"]))
+    assert named.designs["imaging1"] == written.designs["imaging1"]
+    with pytest.raises(StudyError, match=r"designs\.imaging1"):
+        parse(changed(tiny_study(), "designs.imaging1", "spots"))
+
+
+def test_flat_is_a_start_in_python():
+    """The lens starts from plates, and from no other lens."""
+    data = [(torch.rand(3, 16, 16, generator=torch.Generator().manual_seed(k)), k % 2) for k in range(12)]
+    settings = {"descents": [{"steps": 2, "pixels": [20, 20]}], "batch_size": 2}
+    options = {"images": data, "network": small_network(0), "start": "flat", "settings": settings, "kernel_size": 15}
+    _, _, notes = tasklens.design_lens("task", loss=torch.nn.functional.cross_entropy, **options)
+    assert notes["origin"]["start"] == "flat" and "candidate_losses" not in notes["origin"]

@@ -57,7 +57,11 @@ def design(
     ] = None,
     start: Annotated[
         Path | None,
-        typer.Option(help="Lens to improve, .zmx or .yaml; its glasses stay.", rich_help_panel=_START),
+        typer.Option(
+            help="Lens to improve, .zmx or .yaml; its glasses stay. flat: plane-parallel plates, with the schedule of "
+            "the studies, instead of imaging lenses.",
+            rich_help_panel=_START,
+        ),
     ] = None,
     free: Annotated[
         str | None,
@@ -113,6 +117,8 @@ def design(
     """
     from tasklens.study.single import TRAINING
 
+    from_flat = start == Path("flat")
+    start = None if from_flat else start
     new_file(output, force, ".yaml", ".yml", ".zmx")
     if output.suffix.lower() == ".zmx":
         new_catalogue(output, force)
@@ -156,7 +162,7 @@ def design(
             method,
             elements and elements.split(","),
             seed=seed,
-            start=start,
+            start="flat" if from_flat else start,
             free=None if free is None else _free(free),
             settings=method_settings,
             constraints=constraint_settings,

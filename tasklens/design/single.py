@@ -64,6 +64,8 @@ def designs(
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
     method = method or ("least_squares" if start is None else "spot")
+    if start == "flat":
+        settings, start = {**(settings or {}), "start": "flat"}, None
     spec = {key: value for key, value in (spec or {}).items() if value is not None}
     if loss is not None and network is None:
         raise InputError("loss: only with a `network`; omit it, or give one")

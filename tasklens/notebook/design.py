@@ -66,7 +66,8 @@ def design_lens(
             it is.
         loss: loss(network(captures), labels) instead of cross-entropy: one number, or one per image. Images are not
             augmented unless `settings` has `augment`.
-        start: file of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
+        start: "flat": plane-parallel plates, with the schedule of the studies, instead of imaging lenses. Or the file
+            of a lens to improve (.zmx, lens.yaml), or a lens and its view, instead of `elements`. Its glasses
             stay, and limits that it violates are relaxed to its own values.
         free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
             None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.

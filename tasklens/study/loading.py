@@ -13,6 +13,7 @@ from pydantic import ValidationError
 from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError
 from tasklens.study import consistency
+from tasklens.study.design_methods import with_named_designs
 from tasklens.study.layers import merged_settings
 from tasklens.study.messages import missing_keys, problems, suggestion
 from tasklens.study.quantities import Name
@@ -36,8 +37,9 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     name = f"{', '.join(map(str, files))}: " if files else ""
     if len(files) > 1 or "extends" in config:
         config = without_null(with_base_study(config, files[-1].parent if files else Path()))
+    config = with_named_designs(config)
     try:
-        study = Study.model_validate(dict(config))
+        study = Study.model_validate(config)
         consistency.check(study)
         _check_plain(config, "")
         return study
@@ -156,7 +158,7 @@ def read(path: str | Path) -> Mapping:
             f"{path}: __use_yte__: makes the file a template, whose code Snakemake runs before TaskLens reads it; "
             "remove this key"
         )
-    return content
+    return with_named_designs(content)
 
 
 def load(*paths: str | Path) -> Study:

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from tasklens.study.design_methods import methods
 from tasklens.study.fields import NAMED
 from tasklens.study.learning_rates import PRESETS
 from tasklens.study.loading import EXTENDS
@@ -12,7 +13,7 @@ _PLACE, _CHANGES = "#/$defs/", "Changed"  # prefix of the definitions of a study
 
 
 def schema() -> dict[str, Any]:
-    """Return the JSON schema of a study file, in which materials may be files; rates, grades and fields may be names.
+    """Return the JSON schema of a study file: materials may be files; designs, rates, grades and fields may be names.
 
     A file with `extends` may have any part of a study; null removes an entry, and a mapping with the numbers of entries
     changes a list.
@@ -22,8 +23,11 @@ def schema() -> dict[str, Any]:
     del definitions["RankingSettings"]
     del study["properties"]["ranking"]  # only `tasklens rank` writes it
     materials = study["properties"]["materials"]
-    by_name = {key: materials.pop(key) for key in ("type", "additionalProperties")}
-    materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, by_name]
+    named = {key: materials.pop(key) for key in ("type", "additionalProperties")}
+    materials["anyOf"] = [{"type": "array", "items": {"type": "string"}}, named]
+    by_name = study["properties"]["designs"]["patternProperties"]
+    for pattern, design in by_name.items():
+        by_name[pattern] = {"anyOf": [{"enum": list(methods())}, design]}
     for name, presets in (("LearningRates", PRESETS), ("Grade", GRADES), ("FieldSettings", NAMED)):
         definitions[name] = {"anyOf": [{"enum": list(presets)}, definitions[name]]}
     changes = _partial(study)

@@ -1,14 +1,12 @@
 """A study of one lens, for a design without a study file; no torch here."""
 
 from collections.abc import Mapping, Sequence
-from functools import cache
-from pathlib import Path
 from typing import Any
 
-import yaml
 from pydantic import TypeAdapter
 
 from tasklens.runtime.errors import InputError
+from tasklens.study.design_methods import from_flat, methods
 from tasklens.study.design_settings import DesignSettings, GradientDesignSettings
 from tasklens.study.layers import merged_settings
 from tasklens.study.loading import parse
@@ -18,16 +16,11 @@ ELEMENTS = "lens"  # name of its elements
 NETWORK = "network"
 TRAINING = ("joint", "end_to_end")  # methods that train the network with the lens
 _FIRST = "least_squares"  # designed first if a design starts from the best imaging lens
+_FROM_FLAT = {"task": None, "log_image_error": "log_image_error", "correlation": "correlation"}  # criteria by method
 _SIDE = 64  # of rendered images [pixels]
 _BY_NUMBER = (
     'a list replaces all descents; {"descents": {"0": {"steps": 200}}} (--set descents.0.steps=200) changes one'
 )
-
-
-@cache
-def methods() -> dict[str, dict[str, Any]]:
-    """Return the settings of a design by each method."""
-    return yaml.safe_load(Path(__file__).with_name("designs.yaml").read_text(encoding="utf-8"))
 
 
 def study(
@@ -62,14 +55,18 @@ def study(
     """
     if method not in methods():
         raise InputError(f"method {method!r}: expected one of {', '.join(methods())}")
-    design = merged_settings(methods()[method], settings)
-    designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
     kernel_size = spec.get("kernel_size")
     side = max(_SIDE, kernel_size + 1 if isinstance(kernel_size, int) else 0)
+    images_of_study = images or {"size": side, "train": 500, "minival": 10, "test": 10}
+    base = methods()[method]
+    if settings.get("start") == "flat" and not alone and method in _FROM_FLAT:
+        base = _with_criterion(_FROM_FLAT[method], from_flat(images_of_study["size"]))
+    design = merged_settings(base, settings)
+    designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
     content = {
         "format": 3,
         "name": "one",
-        "images": images or {"size": side, "train": 500, "minival": 10, "test": 10},
+        "images": images_of_study,
         "spec": dict(spec),
         "constraints": dict(constraints),
         "elements": {ELEMENTS: list(elements)},
@@ -120,8 +117,10 @@ def _check_method(method: str, design: DesignSettings) -> None:
         raise InputError(f"network_learning_rate: only with the methods {' and '.join(TRAINING)}, not {method}")
 
 
-def _with_criterion(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a design by another criterion, with the same start, steps and images."""
+def _with_criterion(criterion: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a design by another criterion, if it is not None, with the same start, steps and images."""
+    if criterion is None:
+        return dict(settings)
     network_keys = ("criterion", "network_learning_rate", "temperature", "batch_norm", "task")
     descents = [{k: v for k, v in descent.items() if k not in network_keys} for descent in settings["descents"]]
     kept = {key: value for key, value in settings.items() if key not in network_keys}
