@@ -28,6 +28,7 @@ from tasklens.study.messages import in_words, problems
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
+_F_NUMBER = 1e-3  # relative change of the F-number that is mentioned
 _TOUCHING = 1e-6  # mm; surfaces in contact do not cross
 _LENGTHS = (  # limits that are lengths
     "min_centre_thickness",
@@ -122,8 +123,8 @@ def design(
         network_given=user.network is not None,
     )
     limits, relaxed = own_limits(file.lens, view, given, set(constraints))
-    if relaxed:
-        remark(relaxed)
+    for text in filter(None, (relaxed, _fixed_coefficients(file.lens, free))):
+        remark(text)
     plastics = tuple(dict.fromkeys(file.lens.media))
     lenses, notes = {"start": file.lens}, dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
@@ -140,7 +141,21 @@ def design(
                 {},
                 task=supervision.task if entry.classified else None,
             )
+    before, after = (
+        float(paraxial(lens, view.reference_um).f_number) for lens in (file.lens, lenses[entry.design_name])
+    )
+    if not math.isclose(before, after, rel_tol=_F_NUMBER):
+        remark(f"F-number {before:.4g} to {after:.4g}: the stop is fixed, the focal length within its limits is not")
     return Designs(lenses, view, notes, supervision, file.prescription, trained)
+
+
+def _fixed_coefficients(lens: Lens, free: Mapping[str, Sequence[int]]) -> str:
+    """Say which asphere coefficients of higher order than those of designs stay on surfaces whose others vary."""
+    aspheres = {surface for name, surfaces in free.items() if name.startswith("alpha") for surface in surfaces}
+    orders = [
+        2 * k for k in range(ORDERS[-1] // 2 + 1, lens.alpha.shape[1] + 1) if lens.alpha[[*aspheres], k - 1].any()
+    ]
+    return f"asphere coefficients of r^{', r^'.join(map(str, orders))} are fixed" if orders else ""
 
 
 def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:
