@@ -28,7 +28,8 @@ class Merit:
     """Residuals of a lens [um]: two per ray, whose sum of squares is the mean squared spot radius, then limits.
 
     Rays are launched to fill a stop in front of the lens. If the stop is inside, they are aimed again at every lens.
-    The derivatives neglect the change of the aim; each step is checked at its new lens.
+    The derivatives neglect the change of the aim; each step is checked at its new lens. Limits of chief rays hold at
+    all radii of the sensor: between the fields of the spots distortion exceeded its limit.
 
     Args:
         reference: reference point of the rays' errors in y.
@@ -55,6 +56,9 @@ class Merit:
         azimuth = torch.linspace(0, torch.pi, rim, dtype=torch.float64)
         marginal = torch.stack([azimuth.sin(), azimuth.cos()], -1)
         self.pupil = torch.cat([pupil, marginal, torch.zeros_like(pupil[:1])])  # the last ray is the chief ray
+        self.all_radii = (
+            view.at_all_radii()
+        )  # their chief rays are traced behind the rays of each field, a part by each
         self.middle = len(view.wavelengths_um) // 2
         field = corner_weight**heights
         self.of_field = (field / field.sum() / len(view.wavelengths_um))[:, None, None]
@@ -88,9 +92,9 @@ class Merit:
         x, y = self._errors(rays.x, rays.y, valid, change=False)
         errors = [torch.where(valid, 1e3 * self.share * error, _LOST_RAY_UM * self.share) for error in (x, y)]
         outermost = [_outermost(surface_rays) for surface_rays in traces]
-        chief = torch.stack([v[:, self.middle, -1] for v in (rays.x, rays.y, rays.l, rays.m, rays.n)])
+        chief = torch.stack([self._chief(v) for v in (rays.x, rays.y, rays.l, rays.m, rays.n)])
         radii = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
-        operands = LinearLimits(lens.detached(), self.limits, view, _APERTURE_RESERVE * radii, chief)
+        operands = LinearLimits(lens.detached(), self.limits, self.all_radii, _APERTURE_RESERVE * radii, chief)
         weight = torch.full((len(operands.values),), self.per_mm, dtype=lens.dtype)
         weight[len(weight) - operands.angles :] *= self.angle_weight
         values = torch.cat([*(error.flatten() for error in errors), weight * operands.values])
@@ -99,7 +103,7 @@ class Merit:
             (dx, dy, dl, dm, dn), changes_behind = derivative(changes)
             ex, ey = self._errors(dx, dy, valid, change=True)
             rows = [torch.where(valid, 1e3 * self.share * change, 0.0).flatten(1) for change in (ex, ey)]
-            chief = torch.stack([v[..., self.middle, -1] for v in (dx, dy, dl, dm, dn)], 1)
+            chief = torch.stack([self._chief(v) for v in (dx, dy, dl, dm, dn)], 1)
             aperture = [
                 (x * dx.flatten(1)[:, i] + y * dy.flatten(1)[:, i]) / height
                 for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, radii, strict=True)
@@ -115,11 +119,23 @@ class Merit:
     def _launch(self, lens: Lens) -> Rays:
         """Launch the rays; all lenses with the same stop in front share them."""
         if stop_is_inside(lens):
-            return launch_fields(lens.detached(), self.view, self.pupil)
+            return self._bundles(lens.detached())
         radius = float(lens.semi_diameter[lens.stop])
         if self.launched is None or self.launched[0] != radius:
-            self.launched = radius, launch_fields(lens, self.view, self.pupil)
+            self.launched = radius, self._bundles(lens)
         return self.launched[1]
+
+    def _bundles(self, lens: Lens) -> Rays:
+        """Launch the rays of the fields (F, W, N), and behind each the chief rays of a part of all radii."""
+        rays = launch_fields(lens, self.view, self.pupil)
+        chief = launch_fields(lens, self.all_radii, self.pupil[-1:], (self.view.reference_um,))
+        size = (*rays.x.shape[:2], -1)
+        parts = ((getattr(rays, key), value.reshape(size[0], 1, -1).expand(size)) for key, value in vars(chief).items())
+        return Rays(*(torch.cat(pair, -1) for pair in parts))
+
+    def _chief(self, values: Tensor) -> Tensor:
+        """Return the part (.., R) of ray values (.., F, W, N) that is of the chief rays at all radii."""
+        return values[..., self.middle, len(self.pupil) :].flatten(-2)
 
     def _errors(self, x: Tensor, y: Tensor, valid: Tensor, change: bool) -> tuple[Tensor, Tensor]:
         """Compute errors [mm] in x, and in y about the reference, of the rays of the quadrature; or their change."""
@@ -129,7 +145,7 @@ class Merit:
                 weights = valid * self.weights
                 centre = (y[..., :count] * weights).sum((-2, -1)) / weights.sum((-2, -1)).clamp(min=1e-12)
             case "chief_ray":
-                centre = y[..., self.middle, -1]
+                centre = y[..., self.middle, len(self.pupil) - 1]
             case "pinhole":
                 centre = torch.zeros_like(self.view.fields[:, 1]) if change else self.view.fields[:, 1]
         return x[..., :count], y[..., :count] - centre[..., None, None]

@@ -31,8 +31,6 @@ MARGINAL_RAYS = 17  # with 3, limits were violated at strongly curved rims, betw
 _REPAIR_STEPS_UM = 1e-3, 0.25, 2.0  # shortest, first and longest step of the repair: a sharp spot has 2 um
 _KEPT = 1e-9  # violation that counts as rounding, of limits with a buffer [mm]
 _REPAIR_STEPS = 60  # maximum number of steps of the repair
-_REPAIRS = 4  # maximum number of repairs, each with a tighter limit of chief rays
-_OF_CHIEF_RAYS = {"distortion": "distortion", "chief_ray_angle": "max_chief_ray_angle_deg"}  # keys of limits, by margin
 
 
 @dataclass(frozen=True)
@@ -115,23 +113,15 @@ class RaySpace:
 def repair(lens: Lens, view: View, limits: Constraints, free: Free | None = None) -> tuple[Lens, Tensor]:
     """Repair violated limits of a lens by steps of small ray displacement; a lens within its limits is unchanged.
 
-    A repaired lens keeps all limits, at all radii of the sensor, with the buffer that designs aim at. Limits of chief
-    rays are repaired at the field heights of the merit function. If one is violated in between, the repair is repeated
-    with a limit that is tighter by twice the excess.
+    A repaired lens keeps all limits, at all radii of the sensor, with the buffer that designs aim at.
 
     Returns:
         The lens, or the one of the smallest violation if the steps do not suffice; and the semi-diameters (S,) at which
         its limits were evaluated [mm].
     """
-    targets, radii = limits, limit_semi_diameters(lens, view)
-    for attempt in range(_REPAIRS):
-        limit, margin = worst_margin(limit_margins(lens, limits, view, torch.minimum(radii, lens.semi_diameter)))
-        if margin >= 0 or (attempt and limit not in _OF_CHIEF_RAYS):  # kept, or beyond repair
-            break
-        if attempt:
-            key = _OF_CHIEF_RAYS[limit]
-            targets = targets.model_copy(update={key: max(0.0, getattr(targets, key) + 2 * margin)})
-        lens = _repaired(lens, view, targets, free)
+    radii = limit_semi_diameters(lens, view)
+    if worst_margin(limit_margins(lens, limits, view, torch.minimum(radii, lens.semi_diameter)))[1] < 0:
+        lens = _repaired(lens, view, limits, free)
         radii = limit_semi_diameters(lens, view)
     return lens, radii
 
