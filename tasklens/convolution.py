@@ -9,6 +9,7 @@ from scipy.fft import next_fast_len
 from torch import Tensor
 
 from tasklens.runtime.first_derivative import FirstDerivative
+from tasklens.runtime.tensors import explained
 
 _PLANE_BYTES = 2**20  # size of spectra transformed at once on a CPU, so that they stay in its cache
 
@@ -63,6 +64,7 @@ class _Convolution(torch.autograd.Function):
         return captures
 
     @staticmethod
+    @explained
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Compute the gradients with respect to the spectra of images, their mean, and the PSFs."""
 
@@ -144,7 +146,8 @@ def convolve(images: Tensor, psf: Tensor, runs: list[Run], spectra_of_psf: dict[
         images: (P, 2, 3, H, W) pairs of images, larger than half of the PSF window.
         psf: (F, 3, K, K).
         runs: the pairs to render at each field.
-        spectra_of_psf: spectra of these PSFs by the size of the transform; a missing one is added.
+        spectra_of_psf: spectra of these PSFs by the size of the transform; a missing one is added, except in an
+            export.
 
     Returns:
         (N, 2, 3, H, W), in the order of the runs.
@@ -159,8 +162,11 @@ def convolve(images: Tensor, psf: Tensor, runs: list[Run], spectra_of_psf: dict[
     padded = F.pad(torch.complex(*(images - mean).unbind(1)), (half, far[1], half, far[0]), mode="reflect")
     means = torch.complex(*mean[..., 0, 0].unbind(1))
     spectra = torch.fft.fft2(padded, size)
-    if size not in spectra_of_psf:
+    kernels = spectra_of_psf.get(size)
+    if kernels is None:
         blocks = psf.detach().to(spectra.dtype).flatten(0, 1).split(_at_once(spectra))
-        kernels = torch.cat([torch.fft.fft2(block, size, norm="forward") for block in blocks])
-        spectra_of_psf[size] = kernels.unflatten(0, psf.shape[:2])
-    return _Convolution.apply(spectra, means, psf, runs, (height, width), spectra_of_psf[size])
+        planes = torch.cat([torch.fft.fft2(block, size, norm="forward") for block in blocks])
+        kernels = planes.unflatten(0, psf.shape[:2])
+        if not torch.compiler.is_exporting():  # otherwise it has no values, and later captures would be noise
+            spectra_of_psf[size] = kernels
+    return _Convolution.apply(spectra, means, psf, runs, (height, width), kernels)

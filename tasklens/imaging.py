@@ -16,6 +16,7 @@ from torch import Tensor
 from tasklens.convolution import Run, convolve
 from tasklens.runtime.devices import send
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.tensors import as_tensor, explained
 from tasklens.sensor import expose, noise
 from tasklens.study.settings import CaptureSettings, SensorSettings
 
@@ -41,6 +42,7 @@ class PsfCamera:
         >>> captures = camera(images, [0, 8])  # images (2, 3, H, W): on the axis, in the corner
     """
 
+    @explained
     def __init__(
         self,
         psf: Tensor,
@@ -51,6 +53,8 @@ class PsfCamera:
         illumination: Tensor | None = None,
     ):
         check_capture(colour, outside_window, sensor)
+        if not isinstance(psf, Tensor):
+            raise InputError(f"psf: expected a tensor (fields, 3 colours, K, K), got {type(psf).__name__}")
         if psf.dim() != 4 or psf.shape[1] != 3 or psf.shape[-1] != psf.shape[-2] or psf.shape[-1] % 2 == 0:
             raise InputError(
                 f"psf: expected (fields, 3 colours, K, K) with an odd K, got {tuple(psf.shape)}; `view.in_colours()` "
@@ -80,6 +84,7 @@ class PsfCamera:
         )
 
     @torch.compiler.disable
+    @explained
     def all_fields(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
 
@@ -104,6 +109,7 @@ class PsfCamera:
         return self._developed(output, illumination, sample)
 
     @torch.compiler.disable
+    @explained
     def __call__(
         self, images: Tensor, fields: Sequence[int] | Tensor | None = None, sample: Tensor | None = None
     ) -> Tensor:
@@ -165,6 +171,8 @@ class PsfCamera:
 
 def check_images(images: Tensor) -> None:
     """Raise InputError for other images than (B, 3, H, W) of floating-point numbers."""
+    if not isinstance(images, Tensor):
+        raise InputError(f"images: expected a tensor (B, 3, H, W) in [0, 1], got {type(images).__name__}")
     if images.dim() != 4 or images.shape[1] != 3 or not images.is_floating_point() or not len(images):
         raise InputError(f"images: expected (B, 3, H, W) in [0, 1], got {tuple(images.shape)} of {images.dtype}")
 
@@ -177,7 +185,7 @@ def field_indices(fields: Sequence[int] | Tensor | None, images: int, count: int
     """
     if fields is None:
         return torch.randint(count, (images,))
-    indices = torch.as_tensor(fields)
+    indices = as_tensor(fields, "fields")
     if (
         indices.is_floating_point()
         or indices.dtype == torch.bool

@@ -23,7 +23,7 @@ from tasklens.optics.view import View, view_of_spec
 from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError
+from tasklens.runtime.files import FileError, as_paths
 from tasklens.study import single
 from tasklens.study.study import Study
 from tasklens.study.tables import candidates, lens_design, starts
@@ -74,13 +74,13 @@ def designs(
     section, dataset = _images(images, size, held_out)
     classifier, module = (network, None) if isinstance(network, Mapping) else (None, network)
     user = Supervisors(dataset, module, None if loss is None else UserTask(loss))
-    catalogues = [catalogues] if isinstance(catalogues, str | Path) else catalogues
+    catalogues = as_paths(catalogues, "catalogues")
     files = [str(path) for path in (*catalogues, *user_files())]
     if start is not None:
         for key, value in {"elements": elements, **spec}.items():
             if value is not None and key in _OF_THE_START:
                 raise InputError(f"{key}: not with `start`, whose lens has its own")
-        file = _start(start, [*map(Path, catalogues), *user_files()], spec)
+        file = _start(start, [*catalogues, *user_files()], spec)
         options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
         result = from_lens.design(file, method, free, *options)
         if isinstance(start, str | Path):

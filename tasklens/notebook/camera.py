@@ -18,6 +18,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.tensors import explained
 from tasklens.study.settings import Constraints, SensorSettings
 
 _FORMAT = 2.0  # of the state: parameters are changes
@@ -53,6 +54,7 @@ class Camera(nn.Module):
         >>> loss = cross_entropy(network(camera(images)), labels) + 100 * camera.penalty()
     """
 
+    @explained
     def __init__(
         self,
         lens: Lens,
@@ -125,6 +127,7 @@ class Camera(nn.Module):
         return super()._apply(moved, recurse)
 
     @torch.compiler.disable
+    @explained
     def forward(self, images: Tensor, fields: Sequence[int] | Tensor | None = None) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W), of the same type.
 
@@ -142,11 +145,13 @@ class Camera(nn.Module):
         return self._camera(images, view)(images, indices).to(images.dtype)
 
     @torch.compiler.disable
+    @explained
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
         return self._camera(images, self.view).all_fields(images).to(images.dtype)
 
     @torch.compiler.disable
+    @explained
     def penalty(self) -> Tensor:
         """Compute the violation of the lens's limits, as a penalty on a loss: zero for the initial lens.
 
@@ -159,7 +164,7 @@ class Camera(nn.Module):
         """Warn the first time that less than half of the light of a field is inside the PSF window."""
         if not self._remarked and (remark := window_remark(energy_inside(psf), self.view.kernel_size)):
             self._remarked = True
-            warnings.warn(remark, stacklevel=3)
+            warnings.warn(remark, stacklevel=4)
 
     def _camera(self, images: Tensor, view: View) -> PsfCamera:
         check_images(images)

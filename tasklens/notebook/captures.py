@@ -16,9 +16,11 @@ from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View
 from tasklens.recognition.image_tensor import Image, image_tensor
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.tensors import as_tensor, explained
 from tasklens.study.settings import SensorSettings
 
 
+@explained
 def simulate(
     lens: Lens,
     view: View,
@@ -69,12 +71,13 @@ def simulate(
     check_light(lens, view)
     grid = evaluation_psf(lens, view, rays, diffraction)
     if remark := window_remark(energy_inside(grid), view.kernel_size):
-        warnings.warn(remark, stacklevel=2)
+        warnings.warn(remark, stacklevel=3)
     illumination = None if sensor is None else relative_illumination(lens.detached(), view)
     camera = PsfCamera(grid, colour=colour, outside_window=outside_window, sensor=sensor, illumination=illumination)
     return camera.all_fields(source[None], torch.Generator().manual_seed(0))[:, 0]
 
 
+@explained
 def simulate_whole_sensor(
     lens: Lens,
     view: View,
@@ -117,7 +120,7 @@ def simulate_whole_sensor(
     pitch = image_pixel_pitch_um or pitch_on_sensor(lens, view, shape)
     psfs = trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination)
     if remark := window_remark(psfs.energy_inside, 2 * psfs.margin + 1, "take larger pixels of the image"):
-        warnings.warn(remark, stacklevel=2)
+        warnings.warn(remark, stacklevel=3)
     return capture(source, psfs, colour)
 
 
@@ -130,7 +133,7 @@ def check_light(lens: Lens, view: View) -> None:
 
 def _on_sensor(fields: Sequence[tuple[float, float]], view: View) -> Tensor:
     """Return fields (F, 2) [mm]; raises InputError if one is no point or beyond the largest field of the view."""
-    points = torch.as_tensor(fields, dtype=view.fields.dtype)
+    points = as_tensor(fields, "fields", view.fields.dtype)
     if points.dim() != 2 or points.shape[1] != 2 or not len(points):
         raise InputError(
             "fields: expected at least one point (x, y) [mm], such as [(1.7, 1.0)], or None for those of the view"

@@ -12,9 +12,11 @@ from tasklens.design.supervisors import Loss
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.tensors import explained
 from tasklens.study.single import TRAINING
 
 
+@explained
 def design_lens(
     method: str | None = None,
     elements: Sequence[str] | None = None,
@@ -87,7 +89,7 @@ def design_lens(
 
     def warn(remark: str) -> None:
         where = f"{start}: " if isinstance(start, str | Path) else ""
-        warnings.warn(f"{where}{remark}", stacklevel=5)
+        warnings.warn(f"{where}{remark}", stacklevel=6)
 
     spec = {
         "f_number": f_number,
@@ -117,7 +119,7 @@ def design_lens(
         remark=warn,
     )
     if result.remark:
-        warnings.warn(f"design_lens: {result.remark}", stacklevel=2)
+        warnings.warn(f"design_lens: {result.remark}", stacklevel=3)
     if result.trained_weights is not None and isinstance(network, nn.Module):
         network.load_state_dict(result.trained_weights)
     return result.lens, result.view, result.notes

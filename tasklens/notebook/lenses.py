@@ -27,7 +27,8 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.report import drawing
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import positive
+from tasklens.runtime.files import as_path, as_paths, positive
+from tasklens.runtime.tensors import as_tensor, explained
 from tasklens.study.settings import Spec
 
 
@@ -67,9 +68,9 @@ def load_lens(
     Example:
         >>> lens, view = tasklens.load_lens("triplet.zmx", ["SCHOTT.AGF"], pixel_pitch_um=3.0)
     """
-    files = [*_paths(catalogues), *user_files()]
+    files = [*as_paths(catalogues, "catalogues"), *user_files()]
     file = lens_files.read(
-        Path(path),
+        as_path(path, "path"),
         files,
         object_distance_mm,
         configuration,
@@ -130,7 +131,7 @@ def lens(
     colours = tuple(positive(value, "wavelengths_um") for value in wavelengths_um)
     if not colours:
         raise InputError("wavelengths_um: expected at least one wavelength [um]")
-    library = Library([*_paths(catalogues), *user_files()])
+    library = Library([*as_paths(catalogues, "catalogues"), *user_files()])
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
     changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
@@ -141,11 +142,7 @@ def lens(
     return file.lens, file.view
 
 
-def _paths(catalogues: str | Path | Sequence[str | Path]) -> list[Path]:
-    """Return the paths of one catalogue or several."""
-    return [Path(path) for path in ([catalogues] if isinstance(catalogues, str | Path) else catalogues)]
-
-
+@explained
 def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     """Draw a lens: cross-section with rays, spots, PSFs, ray fans, MTF, field curvature, distortion.
 
@@ -162,6 +159,7 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     return drawing.figure({title: (lens, view)}, rays)
 
 
+@explained
 def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any] | None = None) -> None:
     """Write a lens as a lens.yaml, or as a Zemax file if the suffix is .zmx; an existing file is replaced.
 
@@ -182,12 +180,13 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
         raise InputError("save_lens: expected a path, a lens and its view, in this order")
     if bad := lens.not_finite:
         raise InputError(f"{path}: {bad} of the lens is not finite; nothing was written")
-    catalogue = Path(path).with_suffix(".agf")
-    needs_catalogue = Path(path).suffix.lower() == ".zmx" and NamedGlasses.of(lens.media, catalogue.stem).own
+    path = as_path(path, "path")
+    catalogue = path.with_suffix(".agf")
+    needs_catalogue = path.suffix.lower() == ".zmx" and NamedGlasses.of(lens.media, catalogue.stem).own
     if needs_catalogue and catalogue.is_file() and not is_ours(catalogue):
         raise InputError(f"{catalogue}: already exists, and is not ours; choose another name for the lens")
     prescription = with_system_data(Prescription(lens.detached()), view)
-    lens_files.write(Path(path), prescription, notes or described(lens, view))
+    lens_files.write(path, prescription, notes or described(lens, view))
 
 
 def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
@@ -196,6 +195,7 @@ def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
 
 
 @torch.compiler.disable
+@explained
 def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None = None) -> Rays:
     """Trace rays of all F fields and W wavelengths to the image plane; differentiable in the lens.
 
@@ -216,13 +216,14 @@ def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None 
     """
     if rays is not None and pupil is not None:
         raise InputError("rays: not with `pupil`, which has the points")
-    points = sobol_disc(256 if rays is None else rays, seed=0) if pupil is None else torch.as_tensor(pupil)
+    points = sobol_disc(256 if rays is None else rays, seed=0) if pupil is None else as_tensor(pupil, "pupil")
     if points.dim() != 2 or points.shape[1] != 2:
         raise InputError(f"pupil: expected points (N, 2), got {tuple(points.shape)}")
     return trace_fields(lens, view, points)
 
 
 @torch.compiler.disable
+@explained
 def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> Tensor:
     """Compute the point spread functions of all F fields and W wavelengths; differentiable in the lens.
 
@@ -240,10 +241,11 @@ def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> 
     """
     grid = evaluation_psf(lens, view, rays, diffraction)
     if remark := window_remark(energy_inside(grid), view.kernel_size):
-        warnings.warn(remark, stacklevel=3)  # torch's decorator is in between
+        warnings.warn(remark, stacklevel=4)  # two decorators are in between
     return grid
 
 
+@explained
 def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
     """Compute the optical figures of a lens; names end in their unit, lists have one entry per field.
 

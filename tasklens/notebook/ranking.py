@@ -33,7 +33,8 @@ from tasklens.report.figures import section_svg
 from tasklens.report.ranking import Rank
 from tasklens.runtime.devices import CPU
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import write_text
+from tasklens.runtime.files import as_path, write_text
+from tasklens.runtime.tensors import explained
 
 
 @dataclass(frozen=True)
@@ -67,7 +68,7 @@ class Ranking:
         texts: dict[str, Any] = {"title": title, "images": len(next(iter(self.correct.values()))), "sharp": self.sharp}
         texts |= {"tuned": ", as it is", "left_out": {}, "grade": ""}
         page = report.render(self.ranks, rows, self.drawings, [*answer, *self.sentences], **texts)
-        write_text(Path(path), page)
+        write_text(as_path(path, "path"), page)
 
     def __repr__(self) -> str:
         return headings.texts(self.table).to_string(index=False)
@@ -77,6 +78,7 @@ class Ranking:
         return "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences) + table
 
 
+@explained
 def rank(
     lenses: Mapping[str, tuple[Lens, View]],
     images: Any,
@@ -125,11 +127,13 @@ def rank(
     user_images.check_classes(dataset)
     if not isinstance(network, nn.Module):
         raise InputError(f"rank: expected a torch.nn.Module, got {type(network).__name__}")
+    for name, (lens, view) in lenses.items():
+        _check_light(name, lens, view.at(GRADING))
     subject = on_sharp_images(network, dataset, outputs)
     try:
         better_than_guessing(subject.accuracy, len(dataset), subject.outputs)
     except TooFewImages as error:
-        warnings.warn(f"rank: {error}", stacklevel=2)
+        warnings.warn(f"rank: {error}", stacklevel=3)
     except InputError as error:
         raise InputError(f"rank: {error}") from None
     return measured(lenses, subject, rays)
@@ -185,10 +189,10 @@ def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, ra
     for name, (lens, view) in lenses.items():
         correct[name], inside = _correct(subject, lens, view.at(GRADING), rays, name)
         if remark := window_remark(inside, view.kernel_size):
-            warnings.warn(f"rank: {name}: {remark}", stacklevel=3)
+            warnings.warn(f"rank: {name}: {remark}", stacklevel=4)
         at_nine[name], _ = _correct(subject, lens, view.at(PAPER), rays, name)
     for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
-        warnings.warn(f"rank: {sentence}", stacklevel=3)
+        warnings.warn(f"rank: {sentence}", stacklevel=4)
     ranks = report.ranked(correct)
     rows, drawings = [], {}
     for place in ranks:
@@ -201,13 +205,17 @@ def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, ra
     return Ranking(pandas.DataFrame(rows), ranks, correct, at_nine, drawings, 100 * subject.accuracy)
 
 
-def _correct(subject: OnSharpImages, lens: Lens, view: View, rays: int, name: str) -> tuple[pandas.DataFrame, Tensor]:
-    """Return the predictions through a lens, a row per image and a column per field, and the energies in the window."""
-    lens, view = lens.detached(), view.in_colours()
+def _check_light(name: str, lens: Lens, view: View) -> None:
     try:
         check_light(lens, view)
     except InputError as error:
         raise InputError(f"{name}: {error}") from None
+
+
+def _correct(subject: OnSharpImages, lens: Lens, view: View, rays: int, name: str) -> tuple[pandas.DataFrame, Tensor]:
+    """Return the predictions through a lens, a row per image and a column per field, and the energies in the window."""
+    lens, view = lens.detached(), view.in_colours()
+    _check_light(name, lens, view)
     grid = evaluation_psf(lens, view, rays)
     camera = PsfCamera(grid.to(subject.images.device))
     correct = evaluation.evaluate(subject.network, subject.images, CapturePipeline(camera), name).correct

@@ -50,7 +50,7 @@ def test_folder(folder: Path) -> Path:
 
 def _split_folder(folder: Path, names: Sequence[str]) -> Path:
     if not folder.is_dir():
-        raise FileError(f"images.folder = {folder}: no such folder; correct the path")
+        raise FileError(f"images.folder = {folder}: no such folder of images; correct the path")
     if not is_split(folder):
         return folder
     if (name := _spelled(folder, _subfolders(folder), names)) is None:

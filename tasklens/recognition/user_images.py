@@ -12,6 +12,7 @@ from tasklens.recognition import class_folders, folders
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.image_tensor import image_tensor
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.tensors import as_tensor
 
 SIZE = 224  # side to which photographs of a folder are resized, unless another is given [pixels]
 
@@ -54,7 +55,7 @@ def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
 
 def _label(label: Any) -> Tensor:
     """Return a label as a tensor; a whole number as int64, of whatever type it is."""
-    tensor = torch.as_tensor(label)
+    tensor = as_tensor(label, "label")
     is_whole = tensor.dim() == 0 and not tensor.is_floating_point() and tensor.dtype != torch.bool
     return tensor.long() if is_whole else tensor
 
@@ -86,6 +87,8 @@ def _classes(pairs: Any) -> Sequence[str] | None:
 
 def _items(pairs: Any, limit: int | None) -> Iterable[tuple[int, Any]]:
     """Return items of a data set with their indices; a torch data set need not be iterable."""
+    if hasattr(pairs, "read"):
+        raise InputError(f"images: expected a folder, or pairs (image, label), got a file, {type(pairs).__name__}")
     if isinstance(pairs, DataLoader):
         raise InputError("images: expected a data set, got a DataLoader; give its `.dataset`")
     if hasattr(pairs, "__len__") and hasattr(pairs, "__getitem__"):

@@ -10,7 +10,7 @@ import shutil
 import socket
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -52,6 +52,19 @@ def positive(value: object, where: str) -> float:
     if not result > 0:
         raise FileError(f"{where}: expected a positive number, found {value!r}; correct it")
     return result
+
+
+def as_path(value: Any, name: str) -> Path:
+    """Return the path of a file; raises InputError for a file object, bytes or nothing, with `name` of the argument."""
+    if not isinstance(value, str | os.PathLike):
+        raise InputError(f"{name}: expected the path of a file, got {type(value).__name__}; give its name as text")
+    return Path(value)
+
+
+def as_paths(values: Any, name: str) -> list[Path]:
+    """Return the paths of one file or several; raises InputError as `as_path` does."""
+    is_one = isinstance(values, str | os.PathLike) or not isinstance(values, Iterable) or hasattr(values, "read")
+    return [as_path(value, name) for value in ([values] if is_one else values)]
 
 
 def read_bytes(path: Path, most: int = 100_000_000) -> bytes:
