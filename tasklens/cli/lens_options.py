@@ -91,9 +91,11 @@ def reader(
 def _focused(file: "LensFile", focus: str, path: Path) -> "LensFile":
     """Return a lens with its image plane moved by a number of micrometres, or to the best focus; raises InputError."""
     from tasklens.optics.analysis.focus import refocused, shifted
+    from tasklens.optics.analysis.paraxial import check_focal_length
     from tasklens.optics.io import lens_files
 
     if focus in ("best", "spot"):
+        check_focal_length(file.lens, file.view.reference_um, f"--focus {focus} needs")
         lens = refocused(file.lens, file.view, "spot" if focus == "spot" else "mtf")
         by = "the mean RMS spot" if focus == "spot" else "the MTF"
         say(f"{path}: --focus {1e3 * float(lens.thickness[-1] - file.lens.thickness[-1]):.1f}, by {by}")

@@ -55,14 +55,14 @@ def remarks_about(path: Path) -> Iterator[None]:
         warnings.simplefilter("always", UserWarning)
         show, said = warnings.showwarning, set()
 
-        def say_once(message: Warning | str, category: type[Warning], *where: Any) -> None:
+        def say_once(message: Warning | str, category: type[Warning], *where: Any, **options: Any) -> None:
             if category is not UserWarning:
-                show(message, category, *where)
+                show(message, category, *where, **options)
             elif (text := str(message)) not in said:
                 said.add(text)
                 say(f"{path}: {text}")
 
-        warnings.showwarning = say_once
+        warnings.showwarning = say_once  # type: ignore[assignment]  # it passes the place of a warning on
         yield
 
 

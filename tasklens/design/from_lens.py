@@ -16,7 +16,7 @@ from tasklens.design.merit import limit_semi_diameters
 from tasklens.design.supervisors import OF_STUDY, Designs, Supervisors, supervisors
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR
-from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.paraxial import check_focal_length, paraxial
 from tasklens.optics.analysis.spots import has_light
 from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.lens import Lens
@@ -98,6 +98,7 @@ def design(
         raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
     for text in file.remarks:
         remark(text)
+    check_focal_length(file.lens, file.view.reference_um, "designs need")
     spec, view = _spec(file)
     if not (light := has_light(file.lens, view)).all():
         raise InputError(

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from tasklens.imaging import PsfCamera, check_capture
 from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
@@ -118,6 +119,7 @@ def simulate_whole_sensor(
     source, view = image_tensor(image), view.in_colours()
     shape = (source.shape[1], source.shape[2])
     pitch = image_pixel_pitch_um or pitch_on_sensor(lens, view, shape)
+    check_focal_length(lens, view.reference_um, "captures need")
     psfs = trace_sensor_psfs(lens, view, shape, pitch, rays, distortion, illumination)
     if remark := window_remark(psfs.energy_inside, 2 * psfs.margin + 1, "take larger pixels of the image"):
         warnings.warn(remark, stacklevel=3)
@@ -125,7 +127,8 @@ def simulate_whole_sensor(
 
 
 def check_light(lens: Lens, view: View) -> None:
-    """Raise InputError if no light arrives at some field."""
+    """Raise InputError if no light arrives at some field, or if the lens has no positive focal length."""
+    check_focal_length(lens, view.reference_um, "captures need")
     if not (light := has_light(lens.detached(), view)).all():
         x, y = view.fields[int((~light).nonzero()[0])].tolist()
         raise InputError(f"no light arrives at the field ({x:g}, {y:g}) mm: all its rays are lost; omit the field")

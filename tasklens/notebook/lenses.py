@@ -15,6 +15,7 @@ from tasklens.materials.catalogues import is_ours
 from tasklens.materials.library import Library, user_files
 from tasklens.optics.analysis.datasheet import figures, spec_of
 from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
 from tasklens.optics.io import lens_files
@@ -136,6 +137,7 @@ def lens(
     changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" not in surfaces[-1]:
+        check_focal_length(file.lens, file.view.reference_um, "the last thickness is missing, and a focus needs")
         file = replace(file, lens=refocused(file.lens, file.view))
     for remark in lens_files.light_remarks(file):
         warnings.warn(remark, stacklevel=2)

@@ -16,6 +16,7 @@ from pydantic import ValidationError
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.mtf import mean_mtf
 from tasklens.optics.analysis.object_points import image_scale
+from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.io import imported, lens_files
 from tasklens.optics.lens import Lens
@@ -130,6 +131,7 @@ def _screened(
 ) -> tuple[dict[str, Any], float, Sequence[str]]:
     """Return the entry of a lens in a study, its mean MTF, and assumptions about its file; raises InputError."""
     file = lens_files.read(path, catalogues)
+    check_focal_length(file.lens, sensor.wavelengths_um[1], "a ranking needs")
     efl, f_number = imported.size(file.lens, file.content.get("spec", {}), sensor.wavelengths_um[1])
     tangent, half = float(file.view.radii.max()) / file.view.efl, sensor.diagonal_mm / 2
     if not tangent:

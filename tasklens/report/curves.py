@@ -28,6 +28,7 @@ _FREQUENCIES = 41
 _RADII_UM = (0.5, 500.0)
 _SHIFTS = 31  # number of shifts of the image plane
 _DEPTH = 8  # largest shift, in pixel pitches times the F-number
+_SLOWEST = 1e3  # F-number; that of an afocal lens is infinite
 
 
 def ray_fans(
@@ -102,7 +103,7 @@ def mtf_by_focus(
     field_names: Mapping[int, str],
 ) -> None:
     """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
-    half = _DEPTH * view.pixel_pitch_um * figures["f_number"]
+    half = _DEPTH * view.pixel_pitch_um * min(abs(figures["f_number"]), _SLOWEST)
     shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
     for (field, name), colour in zip(field_names.items(), FIELD_COLOURS, strict=False):
         values = []

@@ -11,7 +11,8 @@ from torch.fx.experimental.proxy_tensor import get_proxy_mode
 
 from tasklens.runtime.errors import InputError
 
-_P, _R = ParamSpec("_P"), TypeVar("_R")
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
 
 NO_VALUES = (
     "a tensor without values (device meta): a lens needs its values on the CPU, images and networks on any other device"

@@ -3,12 +3,14 @@
 The power of a surface is (n' - n) (c + 2 alpha_2), since the r^2 term acts like a curvature.
 """
 
+import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from tasklens.optics.lens import Lens
+from tasklens.runtime.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,11 @@ class Paraxial:
     exit_pupil_z: Tensor
     exit_pupil_radius: Tensor
     pupil_vergence: Tensor
+
+    @property
+    def is_positive(self) -> bool:
+        """True if the focal length is positive and finite."""
+        return 0 < float(self.efl.detach()) < math.inf
 
     @property
     def f_number(self) -> Tensor:
@@ -103,3 +110,13 @@ def paraxial(lens: Lens, wavelength: float) -> Paraxial:
         exit_pupil_radius=radius / chief_angle.abs(),
         pupil_vergence=chief_slope / (chief_height + chief_slope * lens.thickness[-1]),
     )
+
+
+def check_focal_length(lens: Lens, wavelength: float, purpose: str) -> None:
+    """Raise InputError if the focal length at `wavelength` [um] is not positive; `purpose` is what needs it."""
+    first_order = paraxial(lens.detached(), wavelength)
+    if not first_order.is_positive:
+        raise InputError(
+            f"focal length {float(first_order.efl):.4g} mm: {purpose} a positive one; relays, negative and afocal "
+            "lenses are only shown and traced"
+        )

@@ -28,6 +28,7 @@ from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
 _RIM = 64  # marginal rays on the axis
+_AFOCAL = 100.0  # mm; focal length of the pinhole camera whose image points are the fields of an afocal lens
 
 
 @dataclass(frozen=True)
@@ -234,7 +235,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
         vergence: 1 / distance of the object [1/mm].
 
     Raises:
-        InputError: a value of `changes` is invalid, or the lens has no positive focal length or no field.
+        InputError: a value of `changes` is invalid, or the lens has no field, or an F-number without a focal length.
     """
     changes, remarks = _validated(changes), []
     if not wavelengths and source.wavelengths_um:
@@ -244,10 +245,12 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
         remarks.append(f"no wavelengths in the file: using {', '.join(map(str, wavelengths))} um (--wavelengths)")
     reference = wavelengths[len(wavelengths) // 2]
     first_order = paraxial(source.lens, reference)
-    efl = float(first_order.efl)
-    if not 0 < efl < math.inf:
-        raise InputError(
-            f"focal length {efl:.4g} mm: expected a positive one; relays and afocal lenses are not supported"
+    efl = abs(float(first_order.efl))
+    if not first_order.is_positive:
+        efl = efl if 0 < efl < math.inf else _AFOCAL
+        remarks.append(
+            f"focal length {float(first_order.efl):.4g} mm: not positive, so the lens is only shown and traced; its "
+            f"fields are {efl:.4g} mm tan(theta)"
         )
     source.lens.refractive_indices(wavelengths)
     view = replace(view_of_spec(Spec()), efl=efl, wavelengths_um=wavelengths, object_vergence=vergence)

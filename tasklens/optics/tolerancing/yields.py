@@ -8,6 +8,7 @@ from torch import Tensor
 
 from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.mtf import geometric_mtf
+from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.apertures import with_clear_apertures
@@ -67,8 +68,9 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
         seed: seed of their errors.
 
     Raises:
-        InputError: no light arrives at some field of the design.
+        InputError: no light arrives at some field of the design, or its focal length is not positive.
     """
+    check_focal_length(lens, view.reference_um, "tolerances need")
     lens = with_clear_apertures(lens.detached(), _RIM * lit_semi_diameters(lens, view))
     error_list = errors(lens, grade)
     moved_um = displacements(lens, view, error_list, _RAYS)
