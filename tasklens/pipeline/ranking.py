@@ -172,8 +172,7 @@ def _screened(
     if by != "file":
         lens = refocused(lens, view, "spot" if by == "spot" else "mtf")
     grid = evaluation_psf(lens, view, _RAYS)
-    if remark := window_remark(energy_inside(grid), view.kernel_size):
-        remarks.append(remark)
+    remarks += filter(None, [window_remark(energy_inside(grid), view.kernel_size)])
     return entry | {"focus": by}, float(mean_mtf(grid)), remarks
 
 
@@ -223,7 +222,7 @@ def study(
     if not lenses:
         reasons = "; ".join(f"{title}: {why}" for title, why in screened.left_out.items())
         raise InputError(f"none of the lenses can be measured: {reasons}")
-    content = {
+    return {
         "format": 3,
         "name": name,
         "tables": ["table1"],
@@ -246,7 +245,6 @@ def study(
             "built": list(built),
         },
     }
-    return content
 
 
 def image_settings(folder: Path, size: int, photographs: int, trained: bool, focused: bool) -> dict[str, Any]:

@@ -248,10 +248,8 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
     efl = abs(float(first_order.efl))
     if not first_order.is_positive:
         efl = efl if 0 < efl < math.inf else _AFOCAL
-        remarks.append(
-            f"focal length {float(first_order.efl):.4g} mm: not positive, so the lens is only shown and traced; its "
-            f"fields are {efl:.4g} mm tan(theta)"
-        )
+        own = f"focal length {float(first_order.efl):.4g} mm: not positive, so the lens is only shown and traced"
+        remarks.append(f"{own}; its fields are {efl:.4g} mm tan(theta)")
     source.lens.refractive_indices(wavelengths)
     view = replace(view_of_spec(Spec()), efl=efl, wavelengths_um=wavelengths, object_vergence=vergence)
     if "field_of_view_deg" not in changes:
