@@ -22,16 +22,11 @@ def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> f
 
     The radius is D / (2 r), with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is
     EFL / D.
-
-    Raises:
-        InputError: an F-number of an afocal lens.
     """
     semi_diameter = lens.semi_diameter.clone()
     semi_diameter[lens.stop] = 1.0
     first_order = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
     kind, value = aperture
-    if kind == "f_number" and not first_order.efl.isfinite():
-        raise InputError(f"F-number {value:g}: an afocal lens has none; give the radius of its stop, semi_diameter")
     diameter = abs(float(first_order.efl)) / value if kind == "f_number" else value
     return float(diameter / (2 * first_order.entrance_pupil_radius.double()))
 
