@@ -9,7 +9,7 @@ from PIL import Image
 
 import tasklens
 from tasklens.cli.app import main
-from tasklens.pipeline import ranking
+from tasklens.pipeline import screening
 from tasklens.runtime.errors import InputError
 
 INF = math.inf
@@ -108,7 +108,7 @@ def test_commands_that_need_a_positive_focal_length_say_so(written, name, tmp_pa
         assert main(list(words)) == 2
         assert "a positive one; relays, negative and afocal" in capsys.readouterr().err.splitlines()[-1]
     assert not (tmp_path / "capture.png").exists() and not (tmp_path / "captures").exists()
-    (reason,) = ranking.screen([path], {}, (), False).left_out.values()
+    (reason,) = screening.screen([path], {}, (), False).left_out.values()
     assert "a ranking needs a positive one" in reason
 
 

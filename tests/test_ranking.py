@@ -22,6 +22,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import imported
 from tasklens.optics.view import view_of_spec
 from tasklens.pipeline import ranking as pipeline
+from tasklens.pipeline import screening
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.report import ranking
@@ -130,7 +131,7 @@ def test_the_image_of_a_near_object_ends_at_the_corner_of_the_sensor(tmp_path, s
     tasklens.save_lens(tmp_path / "lens.yaml", lens, view)
     half = 0.8 * float(view.radii.max())
     sensor = {"diagonal_mm": 2 * half, "object_distance_mm": 25.0}
-    screened = pipeline.screen([tmp_path / "lens.yaml"], sensor, [], scaled)
+    screened = screening.screen([tmp_path / "lens.yaml"], sensor, [], scaled)
     (entry,) = screened.entries.values()
     spec = Spec.model_validate(sensor | entry["spec"])
     near = view_of_spec(spec)
@@ -443,10 +444,10 @@ def test_outputs_of_imagenet_in_python():
 
 def test_lenses_are_screened_for_a_sensor(here, capsys):
     """Lenses keep size and F-number; with `scaled`, a narrow lens is enlarged until its field fills the sensor."""
-    paths = pipeline.lens_paths([here / "lenses"])
+    paths = screening.lens_paths([here / "lenses"])
     assert [path.name for path in paths] == ["Fast.2.yaml", "narrow.yaml", "notes.yaml", "sharp.yaml", "sharp_too.zmx"]
     sensor = {"diagonal_mm": 1.0, "pixel_pitch_um": 4.0, "kernel_size": 15}
-    screened = pipeline.screen(paths, sensor, [], scaled=False)
+    screened = screening.screen(paths, sensor, [], scaled=False)
     assert set(screened.entries) == {"fast_2", "sharp", "sharp_too"} and set(screened.left_out) == {"narrow", "notes"}
     assert screened.titles["fast_2"] == "Fast.2" and screened.mtf["sharp"] == pytest.approx(screened.mtf["sharp_too"])
     assert screened.entries["fast_2"]["spec"]["f_number"] == pytest.approx(2.8, rel=1e-3)
@@ -454,9 +455,9 @@ def test_lenses_are_screened_for_a_sensor(here, capsys):
     half = numpy.radians(screened.entries["sharp"]["spec"]["field_of_view_deg"] / 2)
     assert 0.5 / numpy.tan(half) == pytest.approx(focal_length, rel=1e-3)
     assert "ranked at" not in capsys.readouterr().err
-    pipeline.screen(paths, sensor | {"wavelengths_um": (0.9, 0.85, 0.8)}, [], scaled=False)
+    screening.screen(paths, sensor | {"wavelengths_um": (0.9, 0.85, 0.8)}, [], scaled=False)
     assert "is designed for 0.6563, 0.5893, 0.4861 um, and ranked at 0.9, 0.85, 0.8 um" in capsys.readouterr().err
-    scaled = pipeline.screen(paths, sensor, [], scaled=True)
+    scaled = screening.screen(paths, sensor, [], scaled=True)
     assert scaled.entries["narrow"]["spec"]["field_of_view_deg"] == pytest.approx(10, rel=1e-6)
 
 
@@ -516,6 +517,6 @@ def test_names_of_lenses_are_text_on_a_page():
 def test_a_field_beyond_the_sensor_is_named(capsys):
     """A lens of a larger sensor is measured on the part of its field that the sensor sees."""
     path = Path(__file__).parents[1] / "config" / "lenses" / "phone_3p.yaml"
-    entry = pipeline.screen([path], {}, [], scaled=False).entries["phone_3p"]
+    entry = screening.screen([path], {}, [], scaled=False).entries["phone_3p"]
     assert "has a field of 4.77 mm, used up to the sensor's diagonal of 4 mm" in capsys.readouterr().err
     assert entry["spec"]["field_of_view_deg"] == pytest.approx(71.85, abs=0.01)

@@ -15,7 +15,7 @@ from tasklens.cli.app import main
 from tasklens.design.single import designs
 from tasklens.notebook.verdict import verdict
 from tasklens.optics.psf import energy_inside, window_remark
-from tasklens.pipeline import ranking
+from tasklens.pipeline import screening
 
 LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-imaging3.yaml"
 WORDS = "PSF window of .* holds only .* % of the light"
@@ -103,7 +103,7 @@ def test_commands_say_so_in_a_line(files, capsys):
 
 
 def test_the_ranking_command_says_so(files, capsys):
-    ranking.screen([files / "lens.yaml"], {"kernel_size": 3, "pixel_pitch_um": 0.3}, (), False)
+    screening.screen([files / "lens.yaml"], {"kernel_size": 3, "pixel_pitch_um": 0.3}, (), False)
     assert "lens.yaml: the PSF window of 3 x 3 pixels holds only" in capsys.readouterr().err
 
 

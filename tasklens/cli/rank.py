@@ -103,7 +103,7 @@ def rank(
         raise InputError("--grade: only with --as-built COUNT")
     classifier = network_settings(network, weights, pretrained, outputs, argument)
     from tasklens.materials.library import user_files
-    from tasklens.pipeline import ranking
+    from tasklens.pipeline import ranking, screening
     from tasklens.recognition import user_images
     from tasklens.study import loading
 
@@ -114,20 +114,20 @@ def rank(
         "object_distance_mm": None if object_distance == math.inf else object_distance,
         **({} if wavelengths is None else {"wavelengths_um": wavelengths.split(",")}),
     }
-    paths = ranking.lens_paths(lenses)
+    paths = screening.lens_paths(lenses)
     side = user_images.SIZE if size is None else size
     capture = {"diffraction": diffraction, "sensor": None if full_well is None else {"full_well": full_well}}
     tolerances = {} if grade is None else {"grade": grade}
 
-    def study(screened: ranking.Screened, built: Sequence[str] = ()) -> dict:
+    def study(screened: screening.Screened, built: Sequence[str] = ()) -> dict:
         focused = any(entry["focus"] == "network" for entry in screened.entries.values())
         section = ranking.image_settings(images, side, max_images, fine_tune > 0, focused)
         return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, sieve, tolerances, built)
 
-    unread = loading.parse(study(ranking.unread()))  # errors come before the lenses are read
+    unread = loading.parse(study(screening.unread()))  # errors come before the lenses are read
     say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
     with progress_bars():
-        screened = ranking.screen(paths, spec, [*(catalogue or ()), *user_files()], scale, focus)
+        screened = screening.screen(paths, spec, [*(catalogue or ()), *user_files()], scale, focus)
     content = study(screened)
     count = len(loading.parse(content).imported)
     say(f"{count} of {len(paths)} lenses are measured with {ranking.photographs(content['images'])}")
