@@ -229,46 +229,6 @@ def test_data_of_the_file_that_are_ignored_are_remarks(tmp_path):
     assert stop == "clear aperture of the stop, 0.3 mm: smaller than ENPD gives, 0.5201 mm"
 
 
-CONFIGURATIONS = """THIC 2 1 0.3 0 0 0 1 1 1 0 0
-THIC 2 2 0.45 0 0 0 1 1 1 0 0
-CRVT 4 1 0.1 0
-CRVT 4 2 0.12 0
-CONN 1 2 -0.7 0
-GLSS 1 2 PMMA 0
-YFIE 2 1 20
-YFIE 2 2 20
-MOFF 0 1 0
-EFFL 0 1 0 0 0 0 5 1
-EFFL 0 2 0 0 0 0 6 1
-"""
-
-
-def test_configurations(tmp_path):
-    """The saved configuration, or another, which sets surfaces; one with different fields is refused."""
-    text = edit(("MNUM 1 1\n", "MNUM 2 1\n" + CONFIGURATIONS))
-    saved = read_lens(tmp_path, text)
-    assert all(torch.equal(a, b) for a, b in zip(tensors(saved.lens), tensors(read_lens(tmp_path).lens), strict=True))
-    (tmp_path / "lens.zmx").write_text(text)
-    assert saved.remarks == ("configuration 1 of 2 (--configuration)",)
-    lens = zemax.read(tmp_path / "lens.zmx", configuration=2).lens
-    assert lens.thickness.tolist() == [0.8, 0.45, 0.2, 0.6, 2.5] and lens.curvature.tolist()[3] == 0.12
-    assert lens.conic.tolist()[0] == -0.7 and lens.media[0] == builtin("PMMA")
-    (tmp_path / "lens.zmx").write_text(text.replace("YFIE 2 2 20", "YFIE 2 2 25"))
-    with pytest.raises(FileError, match=r"line \d+: YFIE: differs from configuration 1"):
-        zemax.read(tmp_path / "lens.zmx", configuration=2)
-    for line in ("MAZH 0 0", "PZUP 1 1 0"):
-        (tmp_path / "lens.zmx").write_text(text.replace("  DISZ 0.8", f"  {line}\n  DISZ 0.8"))
-        zemax.read(tmp_path / "lens.zmx", configuration=1)
-        with pytest.raises(FileError, match=f"{line[:4]}: a solve, whose value is that of configuration 1"):
-            zemax.read(tmp_path / "lens.zmx", configuration=2)
-    parameters = "PRAM 1 1 0.01 0\nPRAM 1 2 0.02 0\nPRAM 1 1 0.5 0\nPRAM 1 2 0.5 0\n"
-    (tmp_path / "lens.zmx").write_text(text.replace("CRVT 4 1", f"{parameters}CRVT 4 1"))
-    with pytest.raises(FileError, match="PRAM: differs from configuration 1"):
-        zemax.read(tmp_path / "lens.zmx", configuration=2)
-    with pytest.raises(FileError, match=r"THIC: the file was saved in this configuration, but its surface has 0\.3"):
-        read_lens(tmp_path, text.replace("THIC 2 1 0.3", "THIC 2 1 0.31"))
-
-
 @pytest.mark.parametrize("end", ["SURF 4", "SURF 5", "SURF 6", "  DISZ 2.5"])
 def test_a_file_that_is_cut_off_is_refused(tmp_path, end):
     """The last surface of the file is not an image surface."""

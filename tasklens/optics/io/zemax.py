@@ -63,7 +63,7 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
                 f"expected a sequential file (SEQ), got {line.text!r}: non-sequential files are not supported"
             )
     system, blocks, trailer = _split(lines, path)
-    current = in_configuration(blocks, system, trailer, configuration)
+    current, contradictions = in_configuration(blocks, system, trailer, configuration)
     unit = read_unit(system)
     _check_ends(blocks)
     inner = blocks[1:-1]
@@ -77,6 +77,7 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
     count = system["MNUM"].integer(0) if "MNUM" in system else 1
     if count > 1:
         remarks.append(f"configuration {current} of {count} (--configuration)")
+    remarks += contradictions
 
     wavelengths, primary = read_wavelengths(system, path)
     remarks += ignored_data(system)

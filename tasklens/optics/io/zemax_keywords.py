@@ -32,6 +32,7 @@ _APERTURES = keywords("SQAP SQOB ELAP ELOB UDAD UDAO USAP OBSC SPID")  # neither
 _CLIMATE = "only indices at 20 deg C and 1 atm are supported"
 _IGNORED = "ignored surfaces are not supported; delete this one in Zemax, or do not ignore it"
 _DECENTRED = "decentred apertures are not supported; centre it, or delete it and its CLAP or FLAP"
+_TILTED = "tilted and decentred surfaces are not supported; expected a lens symmetric about its axis"
 _TELECENTRIC = "a telecentric object space is not supported; switch it off in Zemax"
 _AFOCAL = "an afocal image space is not supported; switch it off in Zemax"
 _HIDDEN = "only the first four flags are known to affect only drawings; set the others to 0"
@@ -52,6 +53,7 @@ _CONFIGURATION: dict[str, tuple[float, str]] = {
     "AFOC": (0, _AFOCAL),
     "TEMP": (20, _CLIMATE),
     "PRES": (1, _CLIMATE),
+    **{key: (0, _TILTED) for key in keywords("CADX CADY CATX CATY CATZ CBDX CBDY CBTX CBTY CBTZ CROR")},
 }
 
 
@@ -74,7 +76,7 @@ def _uniform(line: Line) -> bool:
 def check_surface(line: Line) -> None:
     """Check a line of a surface; raises FileError unless it is supported, neutral or harmless."""
     if line.keyword == "SCBD":
-        raise line.error("tilted and decentred surfaces are not supported; expected a lens symmetric about its axis")
+        raise line.error(_TILTED)
     if line.keyword not in SURFACE | _HARMLESS_SURFACE | _APERTURES | {"OBDC", "IGNR", "HIDE"}:
         raise _unknown(line)
     if line.keyword in ("IGNR", "HIDE"):

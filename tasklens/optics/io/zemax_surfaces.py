@@ -158,11 +158,14 @@ def _clear_radius(block: Block, refracts: bool, unit: float) -> float:
             if aperture.number(0):
                 raise aperture.error("the aperture has a hole; only full circles are supported")
             return _radius(aperture, 1, unit)
-    diameter = block.lines.get("DIAM")
-    if refracts and diameter is not None and len(diameter.words) > 1 and diameter.integer(1) in (1, 2):
-        # The solve is "fixed" or "pick-up".
-        return _radius(diameter, 0, unit)
+    if refracts and limits_rays(block.lines):
+        return _radius(block.lines["DIAM"], 0, unit)
     return math.inf
+
+
+def limits_rays(lines: Mapping[str, Line]) -> bool:
+    """Return whether the solve of a semi-diameter is "fixed" or "pick-up", so that it may vignette."""
+    return "DIAM" in lines and len(lines["DIAM"].words) > 1 and lines["DIAM"].integer(1) in (1, 2)
 
 
 def _radius(line: Line, index: int, unit: float) -> float:

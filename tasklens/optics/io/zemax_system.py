@@ -9,7 +9,7 @@ from tasklens.optics.io.prescription import FIELDS
 from tasklens.runtime.files import FileError
 
 _UNITS = {"MM": 1.0, "CM": 10.0, "IN": 25.4, "METER": 1000.0}  # in mm
-_INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
+INFINITY = 1e10  # Zemax's limit for an object at infinity [the file's unit]
 _FIELDS = 12  # number of fields in a line of coordinates
 _APERTURES = ("ENPD", "FNUM", "FLOA")
 
@@ -22,6 +22,11 @@ def read_unit(system: Mapping[str, Line]) -> float:
     if unit is None:
         raise system["UNIT"].error(f"expected one of {', '.join(_UNITS)}, found {system['UNIT'].text!r}")
     return unit
+
+
+def system_aperture(system: Mapping[str, Line]) -> Line | None:
+    """Return the line of the system aperture, supported or not; None if there is none."""
+    return next((system[keyword] for keyword in (*_APERTURES, "OBNA") if keyword in system), None)
 
 
 def read_aperture(
@@ -148,4 +153,4 @@ def read_object_distance(line: Line, unit: float) -> float:
     distance = math.inf if line.words[:1] == ["INFINITY"] else line.number(0)
     if not distance > 0:
         raise line.error(f"expected INFINITY or a positive distance of the object, found {line.text!r}")
-    return unit * distance if distance < _INFINITY else math.inf
+    return unit * distance if distance < INFINITY else math.inf
