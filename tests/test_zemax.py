@@ -146,6 +146,20 @@ def test_extended_aspheres_are_normalised(tmp_path):
     assert alpha[0].tolist() == [0, 0.5 / 4**2, *[0] * 9, -0.25 / 4**12]
 
 
+def test_an_extended_asphere_without_terms_is_an_even_one(tmp_path):
+    """Converters of patents write XASPHERE with PARM; a file with terms and parameters is refused."""
+    terms = "  PARM 1 0.01\n  PARM 2 -0.002\n  PARM 8 1e-06"
+    even, extended = read_lens(tmp_path), read_lens(tmp_path, edit(("EVENASPH", "XASPHERE")))
+    assert all(torch.equal(a, b) for a, b in zip(tensors(extended.lens), tensors(even.lens), strict=True))
+    assert extended.remarks == ("surface 1 is an XASPHERE without terms in XDAT: PARM is read as of EVENASPH",)
+    ten = read_lens(tmp_path, edit(("EVENASPH", "XASPHERE"), (terms, "  XDAT 1 0\n  PARM 10 2e-9"))).lens
+    assert ten.alpha[0].tolist() == [0] * 9 + [2e-9]
+    assert read_lens(tmp_path, edit(("EVENASPH", "XASPHERE"), (terms, "  PARM 2 0"))).remarks == ()
+    for lines in ("  XDAT 1 2\n  XDAT 2 1\n  PARM 2 0.1", "  PARM 13 3"):
+        with pytest.raises(FileError, match=r"PARM: XASPHERE with \d terms has no term number"):
+            read_lens(tmp_path, edit(("EVENASPH", "XASPHERE"), (terms, lines)))
+
+
 def test_the_catalogue_that_the_file_names_first_defines_a_glass(tmp_path):
     """GCAT SECOND FIRST sets the order of catalogues, whatever the order of the paths; built-in plastics come last."""
     paths = []
@@ -180,7 +194,21 @@ def test_an_odd_asphere_without_odd_terms_is_an_even_one(tmp_path, kind, keyword
         read_lens(tmp_path, odd)
 
 
-@pytest.mark.parametrize("line", ["ENVD 20 1 1", "GFAC 1 0", "GFAC 0 3", "STUD 1", "FSVY 2 3", "CHZH 0 0"])
+@pytest.mark.parametrize(
+    "line",
+    [
+        "ENVD 20 1 1",
+        "GFAC 1 0",
+        "GFAC 0 3",
+        "STUD 1",
+        "FSVY 2 3",
+        "CHZH 0 0",
+        "BMRK 1",
+        "BKMK 1",
+        "BOOK 1",
+        "FENF 1 3 4\nFENF 2 3 4",
+    ],
+)
 def test_what_changes_no_ray_is_read(tmp_path, line):
     expected, actual = read_lens(tmp_path), read_lens(tmp_path, edit(("MODE SEQ", f"MODE SEQ\n{line}")))
     assert all(torch.equal(a, b) for a, b in zip(tensors(actual.lens), tensors(expected.lens), strict=True))

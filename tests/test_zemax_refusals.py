@@ -63,6 +63,9 @@ SURFACE = [
     ("ELOB 0.5 0.2", "round"),
     ("USAP 1", "round"),
     ("WHAT 1 2", "unknown keyword"),
+    ("NSOH NSC_SRCE 0 0", "non-sequential"),
+    ("NSOP 1 0 0 0", "non-sequential"),
+    ("TYPE NONSEQCO", "non-sequential"),
     ("CURV 0.3", "already"),
     ("XDAT 1 0.5", "STANDARD"),
     ("CLAP 0 -0.5 0", "radius"),
@@ -97,7 +100,8 @@ def test_data_of_the_only_configuration_that_change_rays(tmp_path, line, word):
 def test_what_changes_no_ray_changes_nothing(tmp_path):
     """Neutral values, drawing, solves whose value stands in the file, merit functions."""
     system = "NOTE 0 text\nENVD 2.0E+1 1 0\nGFAC 0 0\nPUSH 1 2 3 0 0 0\nRAIM 0 2 1 1 0 0 0 0 0 1"
-    surface = "  HIDE 1 1 1 1 0 0 0 0 0 0\n  OBDC 0.0 0.0\n  IGNR 0\n  PZUP 1 1 0 0\n  COAT AR\n  MIRR 2 0\n  FIMP \n"
+    surface = "  BMRK 1\n  BKMK 1\n  BOOK 1\n"
+    surface += "  HIDE 1 1 1 1 0 0 0 0 0 0\n  OBDC 0.0 0.0\n  IGNR 0\n  PZUP 1 1 0 0\n  COAT AR\n  MIRR 2 0\n  FIMP \n"
     end = "WFNO 0 0 0 0 0 0 0 0 0 0\nMNUM 1 1\nIGNR   2   1 0 0 0 0 1 1\nTEMP   0   1 2.0E+1 0 0\n"
     changes = ("MODE SEQ", f"MODE SEQ\n{system}"), ("  CURV -0.1\n", f"  CURV -0.1\n{surface}"), ("MNUM 1 1\n", end)
     imported, plain = read_lens(tmp_path, edit(*changes)), read_lens(tmp_path)

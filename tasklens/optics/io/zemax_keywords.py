@@ -12,20 +12,22 @@ def keywords(text: str) -> frozenset[str]:
 
 
 SYSTEM = keywords(
-    "MODE NAME UNIT ENPD FNUM FLOA OBNA ENVD GFAC GCAT FTYP XFLN YFLN XFLD YFLD FENF FEFD WAVM WAVL WAVN PWAV MNUM "
+    "MODE NAME UNIT ENPD FNUM FLOA OBNA ENVD GFAC GCAT FTYP XFLN YFLN XFLD YFLD FEFD WAVM WAVL WAVN PWAV MNUM "
     "VDXN VDYN VCXN VCYN WWGN WWGT"
 )
 SURFACE = keywords("STOP COMM TYPE CURV PARM XDAT DISZ GLAS CONI DIAM CLAP FLAP")
 
-# Weights of fields, ray aiming, polarisation, names of files, settings of analyses and displays.
+# Weights of fields, copies of FEFD, ray aiming, polarisation, bookmarks, names of files, settings of analyses and
+# displays.
 _HARMLESS_SYSTEM = keywords(
-    "! AUTH BLNK CHZH COFN DBDT EERA FCOM FSVY FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE NSCD OMMA PFIL PICB "
+    "! AUTH BKMK BLNK BMRK BOOK CHZH COFN DBDT EERA FCOM FENF FSVY FWGN FWGT GLRS GSTD HYPR IWDP LANG LUID MOFF NOTE "
+    "NSCD OMMA PFIL PICB "
     "POLS PUSH RAIM ROPD SDMA STUD TOL VANN VERS XAIM YAIM ZAIM ZVAN ZVCX ZVCY ZVDX ZVDY"
 )
 # Solves and variables (the file has their values), coatings, colours, drawing, mechanical radii, tolerances.
 SOLVES = keywords("CHZH EDGE MAZH PPAR PZUP")
 _HARMLESS_SURFACE = SOLVES | keywords(
-    "! COAT FIMP FSVY MEMA MIRR OEMA POPS SCOL SLAB SSID STUD TCED TCMM TOLE VCON VDSZ VPAR"
+    "! BKMK BMRK BOOK COAT FIMP FSVY MEMA MIRR OEMA POPS SCOL SLAB SSID STUD TCED TCMM TOLE VCON VDSZ VPAR"
 )
 _APERTURES = keywords("SQAP SQOB ELAP ELOB UDAD UDAO USAP OBSC SPID")  # neither round nor clear
 
@@ -77,6 +79,8 @@ def check_surface(line: Line) -> None:
     """Check a line of a surface; raises FileError unless it is supported, neutral or harmless."""
     if line.keyword == "SCBD":
         raise line.error(_TILTED)
+    if line.keyword.startswith("NS") or (line.keyword == "TYPE" and line.words[:1] == ["NONSEQCO"]):
+        raise line.error("non-sequential components are not supported; expected a file of sequential surfaces only")
     if line.keyword not in SURFACE | _HARMLESS_SURFACE | _APERTURES | {"OBDC", "IGNR", "HIDE"}:
         raise _unknown(line)
     if line.keyword in ("IGNR", "HIDE"):

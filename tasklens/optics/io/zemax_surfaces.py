@@ -17,6 +17,7 @@ from tasklens.optics.lens import Lens
 _TERMS = 8  # terms of an even asphere, alpha_2 .. alpha_16; more need the extended asphere
 _MOST_TERMS = 240  # terms of an extended asphere
 _KINDS = ("STANDARD", "EVENASPH", "XASPHERE", "ODDASPHE", "XOSPHERE")
+_PARAMETERS = 12  # of an extended asphere in PARM; those behind are its number of terms and normalisation radius
 _HEAD = 2  # number of values of an extended asphere before its coefficients
 _NO_DATA = 1.5, 40.0  # nd and Vd that OpticStudio writes for any glass of a catalogue
 
@@ -50,15 +51,15 @@ def to_lens(blocks: list[Block], stop: int, unit: float, library: Library) -> tu
         library: glasses by name.
 
     Returns:
-        The lens, and the assumptions about its glasses, as text.
+        The lens, and the assumptions about its glasses and aspheres, as text.
 
     Raises:
         FileError: an invalid or unsupported surface.
     """
-    aspheres = [_asphere(block, unit) for block in blocks]
+    remarks: list[str] = []
+    aspheres = [_asphere(block, unit, remarks) for block in blocks]
     orders = max(len(coefficients) for coefficients in aspheres)
     media: list[Material] = []
-    remarks: list[str] = []
     for block in blocks:
         media.append(_medium(block, media, library, remarks))
     refracts = [before != after for before, after in pairwise([AIR, *media])]
@@ -78,12 +79,12 @@ def to_lens(blocks: list[Block], stop: int, unit: float, library: Library) -> tu
     return lens, list(dict.fromkeys([*library.remarks, *remarks]))
 
 
-def _asphere(block: Block, unit: float) -> list[float]:
-    """Read the coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)].
+def _asphere(block: Block, unit: float, remarks: list[str]) -> list[float]:
+    """Read the coefficients from alpha_2 to the last one that is not zero [mm^(1 - 2j)]; add assumptions to `remarks`.
 
     An even asphere has alpha_2j in PARM j. An extended asphere, sum_j a_j (r / rho)^2j, has the number of terms in
-    XDAT 1, the radius rho in XDAT 2, and a_j in XDAT 2 + j. An odd asphere, with terms (r / rho)^j, is read if all of
-    its odd terms are zero.
+    XDAT 1, the radius rho in XDAT 2, and a_j in XDAT 2 + j; without terms, some converters write it as an even asphere.
+    An odd asphere, with terms (r / rho)^j, is read if all of its odd terms are zero.
     """
     kind = block.lines["TYPE"].text if "TYPE" in block.lines else "STANDARD"
     rho, keys = 1.0, []
@@ -92,6 +93,13 @@ def _asphere(block: Block, unit: float) -> list[float]:
     elif kind in ("XASPHERE", "XOSPHERE"):
         terms, rho = _normalisation(block)
         keys = [("XDAT", _HEAD + j) for j in range(1, terms + 1)]
+        parameters = [("PARM", j) for j in range(1, _PARAMETERS + 1)]
+        given = any(block.numbered[key].number(1) for key in parameters if key in block.numbered)
+        if given and not terms and kind == "XASPHERE":
+            keys = parameters
+            remarks.append(
+                f"surface {block.head.text} is an XASPHERE without terms in XDAT: PARM is read as of EVENASPH"
+            )
     elif kind != "STANDARD":
         raise block.lines["TYPE"].error(f"{kind} is not supported; expected one of {', '.join(_KINDS)}")
     head = [("XDAT", j) for j in range(1, _HEAD + 1)] if kind in ("XASPHERE", "XOSPHERE") else []
