@@ -5,6 +5,7 @@ import math
 import torch
 from torch import Tensor
 
+from tasklens.optics.analysis.chief_search import search_chief_rays
 from tasklens.optics.analysis.continuation import Aim, Solution, follow, rays_at_stop, stop_is_curved
 from tasklens.optics.analysis.object_points import rays_from_object
 from tasklens.optics.lens import Lens
@@ -22,14 +23,8 @@ def solve_bundles(
 ) -> Solution:
     """Solve for the launch points of all rays (F, W, N), without graph.
 
-    Bundles of few rays are solved ray by ray (`continuation`). For larger bundles a coarse set of rays is solved, and a
-    polynomial P of the pupil point is fitted to their launch points. P gives the initial launch points of all rays.
-    Steps with the derivative of P, at the cost of one trace each, bring the rays to their points on the stop:
-
-        x <- x - dP r / R,  r the error at the stop, R the radius of the stop
-
-    The error after a step is estimated from its ratio to the previous error. Rays that are still too far off are solved
-    ray by ray.
+    Rays are followed from the axis outward. Those that are lost there are followed from their chief ray, which is
+    searched for if it is lost, too: at 80 degrees the way from the axis is too long.
 
     Args:
         lens: a lens with its stop inside, in double precision as all arguments.
@@ -42,17 +37,64 @@ def solve_bundles(
     Returns:
         The launch points of F W N rays.
     """
-    aims = bundles(lens, tangents, vergence, pupil, indices, entrance_pupil)
+    solution = _solve(lens, tangents[:, None], vergence, pupil, indices, entrance_pupil)
+    lost = (solution.status != RayStatus.OK).reshape(-1, len(pupil))
+    if not bool(lost.any()):
+        return solution
+    bundle, colours = lost.any(1).nonzero()[:, 0], indices.shape[1]
+    tangents, indices = tangents[bundle // colours], indices[:, bundle % colours]
+    chief_aims = bundles(lens, tangents[None], vergence, torch.zeros_like(pupil[:1]), indices, entrance_pupil)
+    chief = follow(chief_aims, chief_aims.paraxial)
+    far = (chief.status != RayStatus.OK).nonzero()[:, 0]
+    if len(far):
+        found = search_chief_rays(chief_aims.part(far))
+        chief.point[far], chief.status[far] = found.point, found.status
+    exists = chief.status == RayStatus.OK
+    if bool(exists.any()):
+        bundle, chief_point = bundle[exists], chief.point[exists]
+        again = _solve(lens, tangents[None, exists], vergence, pupil, indices[:, exists], entrance_pupil, chief_point)
+        found = (again.status == RayStatus.OK) & lost[bundle].flatten()
+        ray = torch.arange(lost.numel()).reshape(lost.shape)[bundle].flatten()[found]
+        for name, values in vars(again).items():
+            getattr(solution, name)[ray] = values[found]
+    return solution
+
+
+def _solve(
+    lens: Lens,
+    tangents: Tensor,
+    vergence: float,
+    pupil: Tensor,
+    indices: Tensor,
+    entrance_pupil: Tensor,
+    chief: Tensor | None = None,
+) -> Solution:
+    """Solve for the launch points of all rays by following them from the axis, or from chief rays.
+
+    Bundles of few rays are solved ray by ray (`continuation`). For larger bundles a coarse set of rays is solved, and a
+    polynomial P of the pupil point is fitted to their launch points. P gives the initial launch points of all rays.
+    Steps with the derivative of P, at the cost of one trace each, bring the rays to their points on the stop:
+
+        x <- x - dP r / R,  r the error at the stop, R the radius of the stop
+
+    The error after a step is estimated from its ratio to the previous error. Rays that are still too far off are solved
+    ray by ray.
+
+    Args:
+        tangents: (F, 1, 2) of all fields in all colours, or (1, W, 2) of a field for each colour.
+        chief: (W, 2) launch points of the chief rays in the latter case.
+    """
+    aims = bundles(lens, tangents, vergence, pupil, indices, entrance_pupil, chief)
     coarse = _coarse_pupil()
     if len(pupil) <= 2 * len(coarse):
-        return follow(aims, aims.paraxial)
-    coarse_aims = bundles(lens, tangents, vergence, coarse, indices, entrance_pupil)
+        return follow(aims, aims.start)
+    coarse_aims = bundles(lens, tangents, vergence, coarse, indices, entrance_pupil, chief)
     size = (len(tangents), indices.shape[1], len(pupil))
-    point, slope = _fit(follow(coarse_aims, coarse_aims.paraxial), coarse, pupil, size)
+    point, slope = _fit(follow(coarse_aims, coarse_aims.start), coarse, pupil, size)
     radius, track = lens.semi_diameter[lens.stop], lens.thickness.abs().sum()
     before = torch.zeros(size, dtype=torch.float64)
     for _ in range(_STEPS):
-        at = rays_at_stop(lens, rays_from_object(point, tangents[:, None, None], vergence), indices, aims.curved)
+        at = rays_at_stop(lens, rays_from_object(point, tangents[:, :, None], vergence), indices, aims.curved)
         error = torch.stack([at.x, at.y], -1) - pupil * radius
         r = error.norm(dim=-1)
         near = at.valid & (r * (r / before).clamp(_BEST_RATIO, 1) <= _TOLERANCE * track)
@@ -71,20 +113,27 @@ def solve_bundles(
 
 
 def bundles(
-    lens: Lens, tangents: Tensor, vergence: float, pupil: Tensor, indices: Tensor, entrance_pupil: Tensor
+    lens: Lens,
+    tangents: Tensor,
+    vergence: float,
+    pupil: Tensor,
+    indices: Tensor,
+    entrance_pupil: Tensor,
+    chief: Tensor | None = None,
 ) -> Aim:
-    """List the rays (F, W, N) of F fields and W wavelengths through N pupil points."""
+    """List the rays (F, W, N) of F fields and W wavelengths through N pupil points; arguments as for `_solve`."""
     size = (len(tangents), indices.shape[1], len(pupil))
     radius, z = entrance_pupil
-    paraxial = (pupil * radius - tangents[:, None, None] * z) / (1 + z * vergence)
+    paraxial = (pupil * radius - tangents[:, :, None] * z) / (1 + z * vergence)
     return Aim(
         lens,
         indices[:, None, :, None].expand(-1, *size).flatten(1),
-        tangents[:, None, None].expand(*size, 2).reshape(-1, 2),
+        tangents[:, :, None].expand(*size, 2).reshape(-1, 2),
         vergence,
         (pupil * lens.semi_diameter[lens.stop]).expand(*size, 2).reshape(-1, 2),
         paraxial.expand(*size, 2).reshape(-1, 2),
         stop_is_curved(lens),
+        None if chief is None else chief.repeat_interleave(len(pupil), 0),
     )
 
 

@@ -73,6 +73,8 @@ class Aim:
         targets: (M, 2) points (x, y) on the stop [mm].
         paraxial: (M, 2) launch points from paraxial optics [mm].
         curved: whether the stop is curved.
+        chief: (M, 2) launch points of the chief rays, from which rays are followed over the pupil; None: from the axis
+            outward.
     """
 
     lens: Lens
@@ -82,16 +84,35 @@ class Aim:
     targets: Tensor
     paraxial: Tensor
     curved: bool
+    chief: Tensor | None = None
+
+    @property
+    def start(self) -> Tensor:
+        """(M, 2) launch points where the search begins [mm]."""
+        return self.paraxial if self.chief is None else self.chief
 
     def part(self, selection: Tensor) -> "Aim":
         """Return the rays with the indices `selection`."""
         rays = {name: getattr(self, name)[selection] for name in ("tangents", "targets", "paraxial")}
-        return replace(self, indices=self.indices[:, selection], **rays)
+        chief = None if self.chief is None else self.chief[selection]
+        return replace(self, indices=self.indices[:, selection], chief=chief, **rays)
 
     def scaled(self, scale: Tensor) -> "Aim":
-        """Return the rays with tangents and targets times `scale` (M,), nearer to the axis and so more paraxial."""
-        rays = {name: scale[:, None] * getattr(self, name) for name in ("tangents", "targets", "paraxial")}
-        return replace(self, **rays)
+        """Return the rays with targets times `scale` (M,), nearer to the chief ray, or tangents too, nearer to the axis."""
+        names = ("tangents", "targets", "paraxial") if self.chief is None else ("targets",)
+        return replace(self, **{name: scale[:, None] * getattr(self, name) for name in names})
+
+    def predicted(self, point: Tensor, before: Tensor, scale: Tensor) -> Tensor:
+        """Predict launch points (M, 2) at `scale` (M, 1) from the solutions `point` at the scale `before`.
+
+        Third-order aberrations predict x(s) = a s + b s^3 from the axis outward, with a from paraxial optics and b from
+        the last solution; over the pupil x is linear in s.
+        """
+        started = before > 0
+        if self.chief is not None:
+            return self.chief + torch.where(started, (point - self.chief) * (scale / before), 0.0)
+        b = torch.where(started, (point / before - self.paraxial) / before**2, 0.0)
+        return self.paraxial * scale + b * scale**3
 
 
 @dataclass(frozen=True)
@@ -150,9 +171,8 @@ def newton(aim: Aim, guess: Tensor) -> tuple[Solution, Tensor]:
 def follow(aim: Aim, guess: Tensor) -> Solution:
     """Solve for the launch points of all rays that have one.
 
-    Newton's iteration begins at `guess` (M, 2). If it fails, the ray is followed from the axis outward: field and pupil
-    point are scaled by s from 0 to 1, a failed step in s is halved, and third-order aberrations predict the next launch
-    point, x(s) = a s + b s^3, with a from paraxial optics and b from the last solution.
+    Newton's iteration begins at `guess` (M, 2). If it fails, the ray is followed from the axis or the chief ray outward:
+    field and pupil point, or the latter alone, are scaled by s from 0 to 1, and a failed step in s is halved.
     """
     count = len(guess)
     reached, stride = guess.new_zeros(count), guess.new_ones(count)
@@ -170,10 +190,8 @@ def follow(aim: Aim, guess: Tensor) -> Solution:
         pending = pending[(reached[pending] < 1) & (stride[pending] >= _SHORTEST)]
         if not len(pending):
             break
-        s, linear = reached[pending, None], aim.paraxial[pending]
-        b = torch.where(s > 0, (point[pending] / s - linear) / s**2, 0.0)
-        s = (s + stride[pending, None]).clamp(max=1)
-        start = linear * s + b * s**3
+        s = reached[pending, None]
+        start = aim.part(pending).predicted(point[pending], s, (s + stride[pending, None]).clamp(max=1))
     aimed = reached == 1
     status[aimed], lost_at[aimed] = int(RayStatus.OK), -1
     return Solution(point, status, lost_at)
