@@ -1,82 +1,72 @@
-"""Chief rays of wide-angle lenses, from a search over all rays through the centre of the stop."""
+"""Chief rays that are not found from the axis outward, from a search over all launch points in their meridian."""
 
 import math
-from dataclasses import replace
+from collections.abc import Callable
 
 import torch
 from torch import Tensor
 
-from tasklens.materials.material import AIR
-from tasklens.optics.analysis.continuation import Aim, Solution, newton
-from tasklens.optics.lens import Lens
-from tasklens.optics.rays import RayStatus, launch
-from tasklens.optics.tracing.trace import trace
+from tasklens.optics.analysis.continuation import Aim, Solution, newton, rays_at_stop
+from tasklens.optics.analysis.object_points import rays_from_object
+from tasklens.optics.rays import RayStatus
 
-_ANGLES = 1024  # rays from the axis to 90 degrees
-_SUBDIVISIONS = 32, 32, 32  # of intervals in which rays begin to be lost
-_BISECTIONS = 60
+_SAMPLES = 2048
+_BISECTIONS = 32  # Newton's iteration follows
 
 
 def search_chief_rays(aim: Aim) -> Solution:
-    """Solve for the launch points of chief rays, whose target is the centre of the stop.
+    """Solve for the launch points of chief rays, which meet the stop surface in its centre.
 
-    Rays are traced backward from the centre of the stop, at all angles u in one meridian. Behind the first surface they
-    have the height y and the slope s; the chief ray of an object point in the direction T has |s - v y| = |T|, with the
-    vergence v. The first such ray from the axis outward that also arrives forward is the solution.
+    For each field, parallel rays (or rays of its object point) are launched in its meridian at distances from the first
+    vertex, q = track tan(w) for equal steps of w. Where rays begin to be lost, the last one is found by bisection. A
+    chief ray is between two rays that meet the stop on opposite sides of its centre; of several, that with the least
+    angle at the stop whose pupil is not folded is the solution.
     """
-    field = aim.tangents.norm(dim=-1)
-    along = aim.tangents / torch.where(field > 0, field, 1.0)[:, None]
-    status = torch.full((len(field),), int(RayStatus.MISSED), dtype=torch.int8)
-    solution = Solution(torch.zeros_like(along), status, torch.full_like(status, aim.lens.stop))
-    lens, indices = _backward(aim)
+    count, lens = len(aim.tangents), aim.lens
+    length = aim.tangents.norm(dim=-1)
+    along = aim.tangents / torch.where(length > 0, length, 1.0)[:, None]
 
-    def leave(u: Tensor, rays: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Trace rays backward at the angles u (M, N); return height, s - v y, and whether they leave the lens."""
-        zero = torch.zeros_like(u)
-        out = trace(lens, launch(zero, zero, zero, zero, torch.sin(u), torch.cos(u)), indices[:, rays])
-        return out.y, -out.m / out.n - aim.vergence * out.y, out.valid
+    def trace(q: Tensor, ray: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return heights at the stop of rays at distances q (K, N), cosines of angles, and whether rays arrive."""
+        point = along[ray, None] * (q * torch.sqrt(1 + length[ray, None].square()))[..., None]
+        start = rays_from_object(point, aim.tangents[ray, None], aim.vergence)
+        at = rays_at_stop(lens, start, aim.indices[:, ray], aim.curved)
+        return at.x * along[ray, :1] + at.y * along[ray, 1:], at.n, at.valid
 
-    every = torch.arange(len(field))
-    u = torch.linspace(0, math.pi / 2, _ANGLES + 1, dtype=torch.float64)[:-1]
-    for count in _SUBDIVISIONS:
-        _, slope, valid = leave(u.expand(len(field), -1), every)
-        ends = (valid[:, 1:] != valid[:, :-1]).any(0).nonzero()[:, 0]
-        inner = torch.linspace(0, 1, count + 1, dtype=torch.float64)[1:-1]
-        u = torch.cat([u, torch.lerp(u[ends, None], u[ends + 1, None], inner).flatten()]).sort().values
-    _, slope, valid = leave(u.expand(len(field), -1), every)
-    excess = slope.abs() - field[:, None]
-    crosses = valid[:, 1:] & valid[:, :-1] & ((excess[:, 1:] >= 0) != (excess[:, :-1] >= 0))
-    pending = every[crosses.any(1)]
-    while len(pending):
-        first = crosses[pending].int().argmax(1)
-        low, high = u[first], u[first + 1]
-        rising = excess[pending, first] < 0
+    def bisect(low: Tensor, high: Tensor, ray: Tensor, like_low: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
-            _, slope, valid = (v[:, 0] for v in leave(middle[:, None], pending))
-            before = ((slope.abs() < field[pending]) == rising) & valid
-            low, high = torch.where(before, middle, low), torch.where(before, high, middle)
-        y, slope, _ = (v[:, 0] for v in leave(low[:, None], pending))
-        guess = (y * torch.sign(slope))[:, None] * along[pending]
-        found, converged = newton(aim.part(pending), guess)
-        solution.point[pending[converged]] = found.point[converged]
-        solution.status[pending[converged]], solution.lost_at[pending[converged]] = int(RayStatus.OK), -1
-        crosses[pending, first] = False
-        pending = pending[~converged & crosses[pending].any(1)]
+            height, _, valid = (v[:, 0] for v in trace(middle[:, None], ray))
+            same = like_low(height, valid)
+            low, high = torch.where(same, middle, low), torch.where(same, high, middle)
+        return low
+
+    w = torch.linspace(-math.pi / 2, math.pi / 2, _SAMPLES + 2, dtype=torch.float64)[1:-1]
+    q = (lens.thickness.abs().sum() * torch.tan(w)).repeat(count, 1)
+    height, _, valid = trace(q, torch.arange(count))
+    for step in (1, -1):
+        neighbour = torch.roll(valid, step, 1)
+        neighbour[:, 0 if step == 1 else -1] = False
+        ray, i = (~valid & neighbour).nonzero().unbind(1)
+        if not len(ray):
+            continue
+        q[ray, i] = bisect(q[ray, i - step], q[ray, i], ray, lambda _, valid: valid)
+        height[ray, i] = trace(q[ray, i, None], ray)[0][:, 0]
+        valid[ray, i] = True
+    status = torch.full((count,), int(RayStatus.MISSED), dtype=torch.int8)
+    solution = Solution(torch.zeros_like(along), status, torch.full_like(status, lens.stop))
+    above = height > 0
+    ray, i = (valid[:, 1:] & valid[:, :-1] & (above[:, 1:] != above[:, :-1])).nonzero().unbind(1)
+    if not len(ray):
+        return solution
+    side = above[ray, i]
+    root = bisect(q[ray, i], q[ray, i + 1], ray, lambda height, valid: valid & ((height > 0) == side))
+    cosine = trace(root[:, None], ray)[1][:, 0]
+
+    guess = along[ray] * (root * torch.sqrt(1 + length[ray].square()))[:, None]
+    found, converged = newton(aim.part(ray), guess)
+    for k in cosine.argsort().tolist():  # the least angle is the last
+        if converged[k]:
+            solution.point[ray[k]] = found.point[k]
+            solution.status[ray[k]], solution.lost_at[ray[k]] = int(RayStatus.OK), -1
     return solution
-
-
-def _backward(aim: Aim) -> tuple[Lens, Tensor]:
-    """Return the surfaces in front of the stop in reverse order, behind a plane at the stop, and their indices."""
-    stop, lens = aim.lens.stop, aim.lens
-    plane = torch.zeros(1, dtype=lens.dtype)
-    back = Lens(
-        curvature=torch.cat([plane, -lens.curvature[:stop].flip(0)]),
-        conic=torch.cat([plane, lens.conic[:stop].flip(0)]),
-        alpha=torch.cat([torch.zeros_like(lens.alpha[:1]), -lens.alpha[:stop].flip(0)]),
-        thickness=torch.cat([lens.thickness[:stop].flip(0), plane]),
-        semi_diameter=torch.full((stop + 1,), torch.inf, dtype=lens.dtype),
-        media=(AIR,) * (stop + 1),
-        stop=0,
-    )
-    return back, torch.cat([aim.indices[stop : stop + 1], aim.indices[: stop + 1].flip(0)])

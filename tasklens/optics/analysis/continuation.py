@@ -98,7 +98,7 @@ class Aim:
         return replace(self, indices=self.indices[:, selection], chief=chief, **rays)
 
     def scaled(self, scale: Tensor) -> "Aim":
-        """Return the rays with targets times `scale` (M,), nearer to the chief ray, or tangents too, nearer to the axis."""
+        """Return rays with targets times `scale` (M,), nearer to their chief ray, or, with tangents, to the axis."""
         names = ("tangents", "targets", "paraxial") if self.chief is None else ("targets",)
         return replace(self, **{name: scale[:, None] * getattr(self, name) for name in names})
 
@@ -171,8 +171,8 @@ def newton(aim: Aim, guess: Tensor) -> tuple[Solution, Tensor]:
 def follow(aim: Aim, guess: Tensor) -> Solution:
     """Solve for the launch points of all rays that have one.
 
-    Newton's iteration begins at `guess` (M, 2). If it fails, the ray is followed from the axis or the chief ray outward:
-    field and pupil point, or the latter alone, are scaled by s from 0 to 1, and a failed step in s is halved.
+    Newton's iteration begins at `guess` (M, 2). If it fails, the ray is followed outward: from the axis, with field and
+    pupil point scaled by s from 0 to 1, or from its chief ray, with the pupil point scaled. A failed step is halved.
     """
     count = len(guess)
     reached, stride = guess.new_zeros(count), guess.new_ones(count)

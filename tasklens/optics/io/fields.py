@@ -14,6 +14,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 
+_EDGE_STEPS = 20  # bisections between a chief ray that arrives and one that is lost
 _FIELD = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
 
 
@@ -56,19 +57,27 @@ def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
     """
     unclipped = with_open_apertures(lens)
 
-    def beyond(tangent: float) -> float:
-        """Return how far the chief ray arrives beyond `height` [mm]; NaN for a lost ray."""
-        field = torch.tensor([[0.0, tangent * view.efl]], dtype=torch.float64)
-        ray = chief_rays(unclipped, replace(view, fields=field))
-        return float(ray.y.abs()) - height if ray.valid.all() else math.nan
+    def beyond(*tangents: float) -> list[float]:
+        """Return how far the chief rays arrive beyond `height` [mm]; NaN for lost rays."""
+        fields = torch.tensor([[0.0, tangent * view.efl] for tangent in tangents], dtype=torch.float64)
+        ray = chief_rays(unclipped, replace(view, fields=fields))
+        return torch.where(ray.valid, ray.y.abs() - height, torch.nan).flatten().tolist()
 
+    steps = [math.tan(math.radians(half_degrees / 2)) for half_degrees in range(1, 180)]
     low = 0.0
-    for half_degrees in range(1, 170):  # no further than needed: a near object may not be that wide
-        tangent = math.tan(math.radians(half_degrees / 2))
-        excess = beyond(tangent)
-        if excess >= 0:
-            return float(brentq(beyond, low, tangent))
-        if math.isnan(excess):
-            break
-        low = tangent
+    # One by one for a near object, which may not be as wide as the last ones.
+    for tangents in [[tangent] for tangent in steps] if view.object_vergence else [steps]:
+        for high, excess in zip(tangents, beyond(*tangents), strict=True):
+            lost = math.isnan(excess)
+            for _ in range(_EDGE_STEPS if lost else 0):  # to the last chief ray that arrives
+                middle = (low + high) / 2
+                if (excess := beyond(middle)[0]) >= 0:
+                    high = middle
+                    break
+                low, high = (low, middle) if math.isnan(excess) else (middle, high)
+            if excess >= 0:
+                return float(brentq(lambda tangent: beyond(tangent)[0], low, high))
+            if lost:
+                raise InputError(f"no chief ray arrives at the image height {height:g} mm of the file; {_FIELD}")
+            low = high
     raise InputError(f"no chief ray arrives at the image height {height:g} mm of the file; {_FIELD}")

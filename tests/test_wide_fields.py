@@ -1,0 +1,198 @@
+"""Wide fields: a chief ray that exists is found, by comparison with a scan over the launch height in NumPy."""
+
+import math
+from dataclasses import replace
+
+import numpy
+import pytest
+import torch
+from examples import difference, f64, make_lens
+from reference_files import SHARED
+
+from tasklens.materials.material import model_glass
+from tasklens.optics.analysis import bundles
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
+from tasklens.optics.analysis.spots import chief_rays
+from tasklens.optics.apertures import with_open_apertures
+from tasklens.optics.io import lens_files
+from tasklens.optics.io.fields import largest_tangent
+from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.lens import Lens
+from tasklens.optics.rays import RayStatus
+from tasklens.optics.tracing.trace import trace, trace_full
+from tasklens.optics.view import View
+from tasklens.runtime.errors import InputError
+
+ANGLES = (0.0, 60.0, 70.0, 78.6, 80.0, 85.0, 88.0)
+SEEDS = 0, 2, 4, 5, 6, 7
+CENTRE = torch.zeros(1, 2, dtype=torch.float64)
+
+
+def view_at(degrees, vergence: float = 0.0) -> View:
+    """Fields across the diagonal, for a pinhole of 1 mm, in one wavelength."""
+    tangent = torch.tan(torch.deg2rad(f64(degrees)))
+    return View(torch.stack([0.6 * tangent, -0.8 * tangent], -1), 1.0, (0.5876,), 1.8, 31, vergence)
+
+
+def fisheye(seed: int) -> Lens:
+    """A meniscus, a negative and a positive element, the stop, a positive element; odd seeds are aspheres."""
+    random = numpy.random.default_rng(seed)
+    between = random.uniform
+    radii = [between(15, 40), between(4, 8), between(-40, -8), between(4, 9), between(5, 15), between(-30, -8)]
+    curvature = [*(1 / radius for radius in radii), 0.0, 0.1, -0.1]
+    thickness = [1.5, between(4, 10), 1.2, between(2, 8), 4.0, between(0.5, 12), 0.5, 3.0, 12.0]
+    glass = model_glass(1.6, 60.0, 0.0)
+    media = (glass, "air", glass, "air", glass, "air", "air", glass, "air")
+    conic, alpha = numpy.zeros(9), numpy.zeros((9, 2))
+    if seed % 2:
+        conic[:6], alpha[:6, 1] = between(-0.8, 0.3, 6), between(-3e-6, 3e-6, 6)
+    stop = [math.inf] * 6 + [0.2] + [math.inf] * 2
+    return make_lens(curvature, thickness, media, conic=conic, alpha=alpha, semi_diameter=stop, stop=6)
+
+
+def stop_heights(lens: Lens, h: numpy.ndarray, angle: float) -> numpy.ndarray:
+    """Trace meridional rays (y, z) from heights `h` of the first vertex plane to the stop; NaN for lost rays."""
+    index = lens.refractive_indices((0.5876,))[:, 0].tolist()
+    y, z = h.copy(), numpy.zeros_like(h)
+    m, n = numpy.full_like(h, math.sin(angle)), numpy.full_like(h, math.cos(angle))
+    for i in range(lens.stop):
+        c, k, a = float(lens.curvature[i]), float(lens.conic[i]), lens.alpha[i].tolist()
+
+        def profile(y, c=c, k=k, a=a):
+            """Sag and slope."""
+            root = numpy.sqrt(1 - (1 + k) * c * c * y * y)
+            sag = c * y * y / (1 + root) + sum(v * y ** (2 * j) for j, v in enumerate(a, 1))
+            return sag, c * y / root + sum(2 * j * v * y ** (2 * j - 1) for j, v in enumerate(a, 1))
+
+        # on the conic c (y^2 + (1 + k) z^2) = 2 z, then Newton's iteration to the asphere
+        square = c * (m * m + (1 + k) * n * n)
+        half = c * (y * m + (1 + k) * z * n) - n
+        rest = c * (y * y + (1 + k) * z * z) - 2 * z
+        with numpy.errstate(invalid="ignore"):
+            t = rest / (-half + numpy.sqrt(half * half - square * rest))
+        t = numpy.where(numpy.isnan(t), -z / n, t)  # the conic is missed, but perhaps not the asphere
+        for _ in range(8):
+            sag, slope = profile(y + t * m)
+            t = t - (z + t * n - sag) / (n - slope * m)
+        y, z = y + t * m, z + t * n
+        sag, slope = profile(y)
+        length = numpy.hypot(1, slope)
+        normal_y, normal_z = -slope / length, 1 / length
+        cosine = m * normal_y + n * normal_z
+        mu = index[i] / index[i + 1]
+        turn = numpy.sqrt(1 - mu * mu * (1 - cosine**2)) - mu * cosine
+        m, n = mu * m + turn * normal_y, mu * n + turn * normal_z
+        lost = (abs(z - sag) > 1e-9) | (cosine < 1e-6) | (n < 1e-6)
+        y, z, m, n = (numpy.where(lost, math.nan, v) for v in (y, z - float(lens.thickness[i]), m, n))
+    return y - z * m / n
+
+
+def scanned_heights(lens: Lens, angle: float) -> list[float]:
+    """Launch heights of all chief rays, by a scan and bisection: rays that pass up to 12 mm from the first vertex."""
+    with numpy.errstate(all="ignore"):
+        h = numpy.linspace(-12, 12, 3001) / math.cos(angle)
+        y = stop_heights(lens, h, angle)
+        (where,) = numpy.nonzero((y[1:] > 0) != (y[:-1] > 0))
+        where = where[numpy.isfinite(y[where]) & numpy.isfinite(y[where + 1])]
+        roots = []
+        for low, high in zip(h[where], h[where + 1], strict=True):
+            above = stop_heights(lens, numpy.array([low]), angle)[0] > 0
+            for _ in range(60):
+                middle = (low + high) / 2
+                same = (stop_heights(lens, numpy.array([middle]), angle)[0] > 0) == above
+                low, high = (middle, high) if same else (low, middle)
+            roots.append(low)
+    return roots
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_chief_ray_that_exists_is_found(seed):
+    """At every angle up to 88 degrees; NumPy agrees that it passes the centre of the stop."""
+    lens = fisheye(seed)
+    rays = launch_fields(lens, view_at(ANGLES), CENTRE)
+    heights = (0.6 * rays.x - 0.8 * rays.y)[:, 0, 0].tolist()
+    for height, found, angle in zip(heights, rays.valid[:, 0, 0].tolist(), map(math.radians, ANGLES), strict=True):
+        assert found or not scanned_heights(lens, angle), angle
+        if found:
+            assert abs(float(stop_heights(lens, numpy.array([height]), angle)[0])) < 1e-9
+
+
+def test_the_search_is_needed():
+    """Many of these rays cannot be aimed from the axis outward."""
+    found, ordinary = [], []
+    for seed in SEEDS:
+        lens, view = fisheye(seed), view_at(ANGLES)
+        rays = launch_fields(lens, view, CENTRE)
+        found.append(int(rays.valid.sum()))
+        aims = bundles.bundles(
+            lens, view.tangents[:, None], 0.0, CENTRE, lens.refractive_indices((0.5876,)), f64([1, 5])
+        )
+        ordinary.append(int((bundles.follow(aims, aims.paraxial).status == RayStatus.OK).sum()))
+    assert sum(found) > 1.3 * sum(ordinary) and max(found) == len(ANGLES)
+
+
+FAR = 5  # the seed of an asphere with light at every angle
+
+
+@pytest.mark.parametrize("points", [rim(16), sobol_disc(512, seed=2)], ids=len)
+def test_the_whole_pupil_follows_its_chief_ray(points):
+    lens, view = fisheye(FAR), view_at(ANGLES)
+    rays = launch_fields(lens, view, points)
+    assert rays.valid.double().mean() > 0.9
+    _, behind = trace_full(with_open_apertures(lens), rays, lens.refractive_indices((0.5876,)))
+    at_stop, radius = behind[lens.stop], lens.semi_diameter[lens.stop]
+    error = torch.hypot(at_stop.x - radius * points[:, 0], at_stop.y - radius * points[:, 1])
+    assert float(error[rays.valid].max()) < 1e-11
+
+
+@pytest.mark.parametrize("name", ["thickness"])
+def test_derivatives_of_chief_rays_at_80_degrees(name):
+    lens, view = fisheye(FAR), view_at([80.0])
+
+    def image(value: torch.Tensor) -> torch.Tensor:
+        changed = replace(lens, **{name: value})
+        rays = trace(changed, launch_fields(changed, view, CENTRE), changed.refractive_indices((0.5876,)))
+        return torch.stack([rays.x, rays.y])
+
+    value = getattr(lens, name)
+    expected = difference(image, value, 1e-5)
+    actual = torch.autograd.functional.jacobian(image, value).reshape(expected.shape)
+    torch.testing.assert_close(actual, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
+
+
+def test_a_near_object():
+    """The chief ray passes the centre of the stop, and begins at its object point."""
+    lens, view = fisheye(FAR), view_at([0.0, 60.0, 75.0], vergence=1 / 200)
+    rays = launch_fields(lens, view, CENTRE)
+    assert rays.valid.all()
+    _, behind = trace_full(lens, rays, lens.refractive_indices((0.5876,)))
+    assert float(torch.hypot(behind[lens.stop].x, behind[lens.stop].y).max()) < 1e-11
+
+
+@pytest.mark.parametrize("angle", [75.0, 89.3])
+def test_the_field_of_an_image_height(tmp_path, angle):
+    """It is that of the chief ray, as far as the lens has an image; beyond it there is none."""
+    lens = fisheye(FAR)
+    efl = float(paraxial(lens, 0.5876).efl)
+    field = f64([[0.0, efl * math.tan(math.radians(angle))]])
+    height = abs(float(chief_rays(lens, View(field, efl, (0.5876,), 1.8, 31)).y))
+    source = Prescription(lens, fields=("real_image_height_mm", ((0.0, height),)))
+    tangent = largest_tangent(source, efl, 0.0, 0.5876)
+    assert math.degrees(math.atan(tangent)) == pytest.approx(angle, abs=1e-6)
+    with pytest.raises(InputError, match="no chief ray arrives at the image height"):
+        largest_tangent(replace(source, fields=("real_image_height_mm", ((0.0, 3 * height),))), efl, 0.0, 0.5876)
+
+
+@pytest.mark.skipif(not SHARED.exists(), reason="needs ../shared")
+@pytest.mark.parametrize(
+    "name, heights",
+    [("wide170", {75: 0.2284, 80: 0.2379, 85: 0.246282}), ("wide160", {78.6: 1.0328, 80: 1.040745})],
+)
+def test_the_cases_of_wide_fields(name, heights):
+    """Image heights by Optiland and by a scan."""
+    file = lens_files.read(next((SHARED / "cases").glob(f"22-*/{name}.zmx")))
+    assert not any("arrive" in remark for remark in file.remarks)
+    fields = f64([[0.0, file.view.efl * math.tan(math.radians(angle))] for angle in heights])
+    chief = chief_rays(file.lens, replace(file.view, fields=fields))
+    assert chief.y.flatten().tolist() == pytest.approx(list(heights.values()), abs=6e-5)
