@@ -1,5 +1,6 @@
 """Designs that start from a lens of the user: free variables improve it, everything else stays."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -135,6 +136,12 @@ def test_surfaces_may_touch_but_not_cross(triplet):
         assert limits(distance).min_back_focus == pytest.approx(distance - BUFFER, abs=1e-9)
     with pytest.raises(InputError, match=r"min_back_focus: -0\.2 mm within the light, so surfaces cross"):
         limits(-0.2)
+
+
+def test_a_start_with_too_wide_a_field_is_refused_before_the_work(triplet):
+    fields = triplet.view.fields * (math.tan(math.radians(80)) * triplet.view.efl / triplet.view.radii.max())
+    with pytest.raises(InputError, match="a field of view of 160 degrees: designs need less than 150"):
+        improve(replace(triplet, view=replace(triplet.view, fields=fields)), "spot")
 
 
 def test_a_start_without_light_is_refused(triplet):

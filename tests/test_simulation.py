@@ -265,6 +265,15 @@ def test_the_pixel_pitch_is_that_at_which_an_image_fills_the_sensor():
     assert pitch_on_sensor(lens, near, (96, 128)) == pytest.approx(2e3 * height / 160, rel=1e-9)
 
 
+def test_a_sensor_without_light_in_its_corner_is_refused():
+    lens, view = blurred()
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[-1] = 0.5 * float(chief_heights(lens, view)[-1])
+    lens = replace(lens, semi_diameter=semi_diameter)
+    with pytest.raises(InputError, match=r"no light arrives \d+\.\d+ mm from the axis .* smaller field of view"):
+        tasklens.simulate_whole_sensor(lens, view, torch.zeros(3, *SHAPE), rays=16)
+
+
 @pytest.mark.parametrize(
     "change, message",
     [

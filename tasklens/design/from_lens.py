@@ -29,6 +29,7 @@ from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
 _F_NUMBER = 1e-3  # relative change of the F-number that is mentioned
+_WIDEST = 150  # degrees, as in `Spec`
 _TOUCHING = 1e-6  # mm; surfaces in contact do not cross
 _LENGTHS = (  # limits that are lengths
     "min_centre_thickness",
@@ -81,8 +82,8 @@ def design(
         All lenses, from the start to the result of the method; the prescription is that of the start.
 
     Raises:
-        InputError: the object is at a finite distance, there are not three wavelengths, no light arrives at a field,
-            surfaces cross, the lens lacks a variable, or `single.designs` raises it.
+        InputError: the object is at a finite distance, there are not three wavelengths, the field is too wide, no
+            light arrives at a field, surfaces cross, the lens lacks a variable, or `single.designs` raises it.
     """
     if method == "least_squares":
         raise InputError("method: least_squares starts from random lenses; with `start` choose another method")
@@ -240,9 +241,14 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
     radius = float(paraxial(file.lens, file.view.reference_um).entrance_pupil_radius)
     efl = file.view.efl  # of the specification, if the file has one
     tangent = float(file.view.radii.max()) / efl
+    if (full := 2 * math.degrees(math.atan(tangent))) >= _WIDEST:
+        raise InputError(
+            f"a field of view of {full:.4g} degrees: designs need less than {_WIDEST}, as their fields are points of "
+            "a pinhole camera; give a smaller --field-of-view"
+        )
     values = {
         "diagonal_mm": 2 * float(file.view.radii.max()),
-        "field_of_view_deg": 2 * math.degrees(math.atan(tangent)),
+        "field_of_view_deg": full,
         "f_number": efl / (2 * radius),
         "pixel_pitch_um": file.view.pixel_pitch_um,
         "kernel_size": file.view.kernel_size,

@@ -16,7 +16,7 @@ from torch import Tensor
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, chief_rays, trace_fields
+from tasklens.optics.analysis.spots import chief_points, chief_rays, has_light, trace_fields
 from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
@@ -35,6 +35,7 @@ _AT_ONCE = 4  # fields traced at once, so that they fit in the cache
 _EXTENTS = 1.25, 1.6, 2.0, 3.0, 5.0  # largest trial fields of a lens with distortion, over that of the corner
 _RADII = 129  # radii at which the change of the PSF over the field is measured
 _NEGLIGIBLE = 1e-6  # fraction of the light
+_SMALLER = "give a smaller field of view (--field-of-view); with true pixels, a smaller pixel pitch or a smaller image"
 _NOMINAL = 0.02  # a sensor's diagonal may exceed that of its pixels by this: 1080 x 1920 of 1.8 um on 4 mm
 
 
@@ -83,7 +84,7 @@ class _FieldMap:
         if not count or heights[-1] < radius * (1 - 1e-9):
             raise InputError(
                 f"the lens has an image up to {float(heights.max()) if count else 0:.3f} mm from the axis, and the "
-                f"image to simulate has corners at {radius:.3f} mm; expected a smaller pixel pitch or a smaller image"
+                f"image to simulate has corners at {radius:.3f} mm; {_SMALLER}"
             )
         if distortion:
             self.fields = interpolate(self.heights, heights, trial_fields[:count])
@@ -126,7 +127,7 @@ def trace_sensor_psfs(
         illumination: whether the relative illumination of the lens darkens the capture.
 
     Raises:
-        InputError: the lens has tilted surfaces, or does not form an image at the corners of the sensor.
+        InputError: the lens has tilted surfaces, or forms no image or sends no light to some part of the sensor.
     """
     if lens.pose is not None:
         raise InputError("lens with shifted or tilted surfaces: expected a rotationally symmetric one")
@@ -136,6 +137,12 @@ def trace_sensor_psfs(
         )
     half = [(pixels - 1) / 2 for pixels in shape]
     field_map = _FieldMap(lens, view, math.hypot(*half) * pixel_pitch / 1e3, distortion)
+    light = has_light(lens.detached(), view.along_y(field_map.fields.detach()))
+    if not light.all():
+        dark = float(field_map.heights[~light].min())
+        raise InputError(
+            f"no light arrives {dark:.3f} mm from the axis of the sensor, where its image ends; {_SMALLER}"
+        )
     y, x = _nodes(lens, view, half, pixel_pitch, field_map)
     pupil = sobol_disc(rays, seed=0)
     halo_size = 2 * min(_HALO // 2, min(shape) // _HALO_PIXEL) + 1

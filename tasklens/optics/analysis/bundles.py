@@ -47,8 +47,8 @@ def solve_bundles(
     chief = follow(chief_aims, chief_aims.paraxial)
     far = (chief.status != RayStatus.OK).nonzero()[:, 0]
     if len(far):
-        found = search_chief_rays(chief_aims.part(far))
-        chief.point[far], chief.status[far] = found.point, found.status
+        searched = search_chief_rays(chief_aims.part(far))
+        chief.point[far], chief.status[far] = searched.point, searched.status
     exists = chief.status == RayStatus.OK
     if bool(exists.any()):
         bundle, chief_point = bundle[exists], chief.point[exists]
