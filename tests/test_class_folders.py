@@ -148,7 +148,7 @@ def test_a_folder_one_level_too_high_is_refused(folder):
         lambda: user_images.test_images(folder, 16, 10),
         lambda: dataset.training_images(images(folder), folder / "images.npy"),
         lambda: unused_images(folder, 16),
-        lambda: ranking.image_settings(folder, 16, 10, False),
+        lambda: ranking.image_settings(folder, 16, 10, False, False),
     )
     for door in doors:
         with pytest.raises(FileError, match=f"but deep has train and test; give {folder}/deep$"):

@@ -243,7 +243,7 @@ def test_what_a_job_reads_another_makes(mapping):
 
 
 def test_an_imported_lens_adds_rows_and_changes_no_other_job():
-    """It is listed last among imaging designs; nothing starts from it, and its own design reads no classifier."""
+    """It is listed last among imaging designs; nothing starts from it. The network sets its focus."""
     before, after = slices(tiny_study()), slices(with_imported())
     rows = {("table", name) for name in ("table1", "table2", "table4")}
     tables_of_all = [f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "ranking", "tolerances")]
@@ -255,8 +255,10 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     for name in TABLES:
         imported = () if name == "table3" else ("quadruplet-phone",)
         assert tables.table(study, name).lenses == tables.table(parse(tiny_study()), name).lenses + imported
-    assert tables.lens_design(study, "quadruplet-phone", 0).classifier is None
-    assert job_of("design", study, lens="quadruplet-phone", seed=0).reads == [study.imported["phone"].file]
+    assert tables.lens_design(study, "quadruplet-phone", 0).classifier == study.network(study.supervisor)
+    as_in_file = parse(changed(with_imported(), "imported.phone.focus", "file"))
+    assert tables.lens_design(as_in_file, "quadruplet-phone", 0).classifier is None
+    assert job_of("design", as_in_file, lens="quadruplet-phone", seed=0).reads == [study.imported["phone"].file]
     assert tables.starts(study, "quadruplet-phone") == ()
     assert not any("phone" in str(path) for path in job_of("design", study, lens=SUPERVISED[1], seed=0).reads)
 

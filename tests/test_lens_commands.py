@@ -106,7 +106,7 @@ def test_a_shifted_image_plane(file, capsys):
     a, b, c, d = (numpy.square(analyses[shift]["rms_centroid_um"]) for shift in shifts)
     assert d == pytest.approx(a - 3 * b + 3 * c, rel=0, abs=1e-9 * d.max())
     assert numpy.abs(c - b).min() > 1e-3
-    best, near = (json_of(capsys, "analyse", file, *FEW, "--focus", shift) for shift in ("best", 5))
+    best, near = (json_of(capsys, "analyse", file, *FEW, "--focus", shift) for shift in ("spot", 5))
     assert sum(best["rms_centroid_um"]) < sum(near["rms_centroid_um"])
     (output,) = json_of(capsys, "show", file, *FEW, "--focus", 20).values()
     assert output["fields"]["rms_centroid_um"][0] == pytest.approx(analyses[20.0]["rms_centroid_um"][0], rel=1e-12)

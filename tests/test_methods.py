@@ -29,9 +29,12 @@ def test_a_method_keeps_its_criterion_and_its_use_of_the_network(method, criteri
     own = single.methods()[method]["descents"][-1]
     change = {"criterion": criterion} | ({} if rate is None else {"network_learning_rate": rate})
     settings = {
-        "list": {"start": "flat", "descents": [{"steps": 2, **change}]},
-        "several": {"start": "flat", "descents": [{"steps": 2, "criterion": "contrast"}, {"steps": 2, **change}]},
-        "number": {"start": "flat", "descents": {"0": change}},
+        "list": {"start": ["least_squares"], "descents": [{"steps": 2, **change}]},
+        "several": {
+            "start": ["least_squares"],
+            "descents": [{"steps": 2, "criterion": "contrast"}, {"steps": 2, **change}],
+        },
+        "number": {"start": ["least_squares"], "descents": {"0": change}},
     }[form]
     trains = rate is not None or (form == "number" and "network_learning_rate" in own)
     kept = criterion == own.get("criterion", "task") and trains == (method in single.TRAINING)

@@ -319,7 +319,7 @@ def test_a_wrong_name_is_refused_before_lenses_are_read(here, capsys, monkeypatc
     def unexpected(*_):
         raise AssertionError("lenses are read")
 
-    monkeypatch.setattr(pipeline, "screen", unexpected)
+    monkeypatch.setattr(screening, "screen", unexpected)
     assert main([*COMMAND, *SENSOR, "--name", "My-Lenses"]) == 2
     assert "name = 'My-Lenses'" in capsys.readouterr().err.splitlines()[-1]
     with pytest.raises(AssertionError, match="lenses are read"):
@@ -336,8 +336,8 @@ def test_a_network_that_recognises_nothing_ranks_nothing(here, capsys):
 def test_names_of_lenses_in_a_study(tmp_path):
     """Unique names of small letters, digits and underscores; files of equal names have their folder in the title."""
     paths = [tmp_path / "a" / "Lens 1.zmx", tmp_path / "b" / "Lens 1.zmx", tmp_path / "c.zmx"]
-    assert pipeline._name(paths[0], []) == "lens_1" and pipeline._name(paths[1], ["lens_1"]) == "lens_1_2"
-    assert pipeline._title(paths[2], paths) == "c" and pipeline._title(paths[0], paths).endswith("a/Lens 1.zmx")
+    assert screening._name(paths[0], []) == "lens_1" and screening._name(paths[1], ["lens_1"]) == "lens_1_2"
+    assert screening._title(paths[2], paths) == "c" and screening._title(paths[0], paths).endswith("a/Lens 1.zmx")
 
 
 def test_ranking_in_python_agrees_with_the_command(here):

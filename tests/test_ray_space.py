@@ -83,7 +83,8 @@ def test_lenses_are_validated_as_they_are_saved(spot_lens):
     assert worst_margin(limit_margins(spot_lens, limits, VIEW, clear_semi_diameters(spot_lens, VIEW)))[1] < -0.01
     assert worst_margin(limit_margins(saved, limits, VIEW, saved.semi_diameter))[1] >= 0
     last = numbers["validation_loss"]  # that of the last step; the best of both is kept
-    assert descent.least == (False, min(last, supervisor.validation_loss(saved, 1.0)))
+    far, least = descent.least
+    assert not far and least == pytest.approx(min(last, supervisor.validation_loss(saved, 1.0)), rel=5e-3)
     assert supervisor.validation_loss(spot_lens, 1.0) != pytest.approx(supervisor.validation_loss(saved, 1.0), rel=1e-3)
 
 
@@ -179,7 +180,7 @@ def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch):
 
     with_halving = longest()
     monkeypatch.setattr(optimizers, "_HALVINGS", 0)
-    assert longest() > 5 * with_halving  # about ten; it depends on the processor
+    assert longest() > 2 * with_halving  # three to ten; it depends on the processor
 
 
 def test_a_repair_that_cannot_succeed_ends_at_the_smallest_violation(spot_lens, monkeypatch):

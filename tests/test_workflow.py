@@ -150,14 +150,16 @@ def test_task_driven_designs_wait_for_what_they_need(tmp_path):
 
 
 def test_an_imported_lens_joins_the_tables(tmp_path, monkeypatch):
-    """It has the jobs of an imaging design, and no other lens waits for it."""
+    """It waits for the network that sets its focus, unless the file does; no other lens waits for it."""
     study = smoke_with_imported(tmp_path)
     monkeypatch.chdir(tmp_path)
     counts = expected(parse(study))
     assert counts["design"] == 6 and counts["restore"] == 4
     assert plan(tmp_path, study, "tables") == counts
     lens = "results/smoke/lenses/{}/seed0/lens.yaml"
-    assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1}
+    assert plan(tmp_path, study, lens.format("singlet-theirs")) == {"design": 1, "images": 1, "reference": 1}
+    as_in_file = changed(study, "imported.theirs.focus", "file")
+    assert plan(tmp_path, as_in_file, lens.format("singlet-theirs")) == {"design": 1}
     assert plan(tmp_path, study, lens.format("doublet-end_to_end_from_imaging"))["design"] == 3
 
 

@@ -34,7 +34,8 @@ class LinearLimits:
 
     Attributes:
         values: (K,) violations [mm; fractions without unit; angles in rad], zero if a limit is kept.
-        angles: number of angles; they are the last of the values.
+        chief_rays: number of values of chief rays, distortion and angles; they are the last.
+        angles: number of angles; they are the last of these.
     """
 
     def __init__(self, lens: Lens, limits: Constraints, view: View, semi_diameter: Tensor, chief: Tensor):
@@ -44,6 +45,7 @@ class LinearLimits:
         margins = all_margins(lens, limits, view, semi_diameter, rays)
         self.values = violation(margins)
         self.angles = margins["chief_ray_angle"].numel() if "chief_ray_angle" in margins else 0
+        self.chief_rays = margins["distortion"].numel() + self.angles
         smallest = float(lens.semi_diameter[lens.stop])
         self.semi, self.moves = semi_diameter.clamp(min=smallest), semi_diameter >= smallest
 

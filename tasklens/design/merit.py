@@ -1,5 +1,6 @@
 """Merit function of damped least squares: two residuals per ray and one per limit, with derivatives."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Literal
 
@@ -59,6 +60,7 @@ class Merit:
         self.all_radii = (
             view.at_all_radii()
         )  # their chief rays are traced behind the rays of each field, a part by each
+        self.chief_weight = math.sqrt(len(heights) / len(self.all_radii.fields))  # together as much as at the fields
         self.middle = len(view.wavelengths_um) // 2
         field = corner_weight**heights
         self.of_field = (field / field.sum() / len(view.wavelengths_um))[:, None, None]
@@ -96,6 +98,7 @@ class Merit:
         radii = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
         operands = LinearLimits(lens.detached(), self.limits, self.all_radii, _APERTURE_RESERVE * radii, chief)
         weight = torch.full((len(operands.values),), self.per_mm, dtype=lens.dtype)
+        weight[len(weight) - operands.chief_rays :] *= self.chief_weight
         weight[len(weight) - operands.angles :] *= self.angle_weight
         values = torch.cat([*(error.flatten() for error in errors), weight * operands.values])
 

@@ -16,6 +16,7 @@ from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.study import names
 from tasklens.study import tables as paper_tables
+from tasklens.study.design_methods import with_named_designs
 from tasklens.study.effort import effort
 from tasklens.study.layers import merged_settings
 from tasklens.study.least_squares_settings import LeastSquaresSettings
@@ -38,7 +39,7 @@ def default_study() -> dict[str, Any]:
     """Return the keys of the default study; raises InputError if the studies are not installed."""
     if not DEFAULT.is_file():
         raise InputError(f"{DEFAULT}: {NOT_INSTALLED}")
-    return yaml.safe_load(DEFAULT.read_text(encoding="utf-8"))
+    return with_named_designs(yaml.safe_load(DEFAULT.read_text(encoding="utf-8")))
 
 
 def _counts(folder: Path, minival: int, fraction: float) -> dict[str, int]:
@@ -144,7 +145,7 @@ def _base(size: int) -> dict[str, Any]:
     """Return the default study; for large images, with the steps of the studies of photographs."""
     base = dict(default_study())
     for name, keys in _OF_LARGE_IMAGES.items() if size >= LARGE else ():
-        layer = yaml.safe_load((ROOT / "config" / name).read_text(encoding="utf-8"))
+        layer = with_named_designs(yaml.safe_load((ROOT / "config" / name).read_text(encoding="utf-8")))
         base |= {key: merged_settings(base[key], layer[key]) for key in keys}
     return base
 
