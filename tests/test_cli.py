@@ -163,7 +163,7 @@ def test_an_imported_lens_goes_the_same_way(tmp_path, monkeypatch, capsys):
     """From its file to its PSF and figure; `check` reports unusable lenses before any job."""
     monkeypatch.chdir(tmp_path)
     prescription.write(tmp_path / "theirs.yaml", Prescription(cooke_triplet()), {})
-    entry = {"elements": "triplet", "file": "theirs.yaml"}
+    entry = {"elements": "triplet", "file": "theirs.yaml", "focus": "spot"}
     study = changed(tiny_study(), "imported.cooke", entry)
     path = tmp_path / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))

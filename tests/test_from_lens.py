@@ -62,7 +62,7 @@ def test_a_lens_of_spheres_in_glass_gets_sharper(triplet):
     assert after["efl_mm"] == pytest.approx(before["efl_mm"], rel=0.021)
     assert notes["worst_margin"]["value"] > 0
     assert any("limits that the lens violates are relaxed: " in text for text in remarks)
-    changed = abs(after["f_number"] / before["f_number"] - 1) > 1e-3
+    changed = abs(after["f_number"] / before["f_number"] - 1) > 1e-2
     said = f"F-number {before['f_number']:.4g} to {after['f_number']:.4g}: the stop is fixed"
     assert any(text.startswith(said) for text in remarks) == changed
     assert float(lens.thickness[6]) != 30.0 and float(lens.thickness[7]) == 1.0  # the cover glass stays

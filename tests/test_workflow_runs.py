@@ -194,6 +194,7 @@ def test_a_changed_file_reruns_the_imported_lens(tmp_path):
         path.write_text(before)
         os.utime(path, times)
     path.write_text("NM COC 1 0 1.5\n")
-    process = snakemake(tmp_path, study, "results/smoke/images/train.npy")
+    other = target.replace("singlet-theirs", "doublet-imaging2")
+    process = snakemake(tmp_path, study, other)
     assert process.returncode != 0 and "glass.agf" in process.stdout + process.stderr
-    assert not (tmp_path / "results/smoke/images").exists()
+    assert not (tmp_path / other).exists()

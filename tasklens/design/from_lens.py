@@ -28,7 +28,7 @@ from tasklens.study.messages import in_words, problems
 from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
-_F_NUMBER = 1e-3  # relative change of the F-number that is mentioned
+_F_NUMBER = 1e-2  # relative change of the F-number that is mentioned
 _WIDEST = 150  # degrees, as in `Spec`
 _TOUCHING = 1e-6  # mm; surfaces in contact do not cross
 _LENGTHS = (  # limits that are lengths
