@@ -16,7 +16,6 @@ from safetensors.torch import load_file
 
 import tasklens
 from tasklens.cli.app import main
-from tasklens.optics.analysis.focus import shifted
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import imported
@@ -26,7 +25,6 @@ from tasklens.pipeline import screening
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.report import ranking
-from tasklens.report.predictions import read as read_predictions
 from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
@@ -358,34 +356,6 @@ def test_ranking_in_python_agrees_with_the_command(here):
     with pytest.raises(InputError, match="images: number 1: expected a pair"):
         tasklens.rank(lenses, [pairs[0], 3], network)
     shutil.rmtree("results", ignore_errors=True)
-
-
-@pytest.mark.slow
-def test_every_door_gives_the_same_answers(here, tmp_path):
-    """Through a lens in focus and one that is not: the command, which imports them into a study, and Python.
-
-    The verdict of a design is of the Python function.
-    """
-    write_photographs(tmp_path / "test", random_images(40, 32, 3, seed=0), ("cat", "dog", "owl"))
-    write_photographs(tmp_path / "train", random_images(12, 32, 3, seed=1), ("cat", "dog", "owl"))
-    lens, view = singlet()
-    for name, shift in (("sharp", 0.0), ("blurred", 0.2)):
-        tasklens.save_lens(here / f"{name}.yaml", shifted(lens, shift), view)
-    sensor = ("--diagonal", repr(2 * float(view.radii.max())), "--pixel-pitch", "4", "--kernel-size", "15")
-    images = ("--images", str(tmp_path), "--size", "32")
-    assert (
-        main(["rank", "sharp.yaml", "blurred.yaml", *COMMAND[4:], *WEIGHTS, *images, *sensor, "--name", "doors"]) == 0
-    )
-    network = timm.create_model("test_resnet", num_classes=3)
-    network.load_state_dict(load_file("mine.safetensors"))
-    lenses = {name: tasklens.load_lens(f"{name}.yaml") for name in ("sharp", "blurred")}
-    result = tasklens.rank(lenses, tmp_path, network, size=32)
-    for name, correct in result.correct.items():
-        command = read_predictions(measurement("doors", f"lens-{name}", "network", kind="-predictions"))
-        assert command.to_numpy().sum(0).tolist() == correct.to_numpy().sum(0).tolist()
-    assert result.correct["sharp"].to_numpy().mean() > result.correct["blurred"].to_numpy().mean() + 0.1
-    table = pandas.read_csv("results/doors/tables/ranking.csv")
-    assert set(table["focus"]) == {"file"} and (table["image_plane_shift_um"] == 0).all()
 
 
 def test_a_network_that_only_guesses_ranks_nothing_in_python():
