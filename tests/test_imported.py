@@ -137,8 +137,7 @@ def test_a_finished_imported_lens(tmp_path):
     lens, notes, history, _ = methods.design(settings, None, None, {}, {})
     assert history == []
     before, fit = imported.fit(settings.entry.design, VIEW, SPEC.f_number)
-    focus = {"focus": "file", "image_plane_shift_mm": 0.0}
-    assert notes["origin"] == {"design": "cooke", "method": "file"} | fit | focus
+    assert notes["origin"] == {"design": "cooke", "method": "file"} | fit | {"image_plane_shift_mm": 0.0}
     assert fit["file"] == str(tmp_path / "given.yaml")
     assert len(notes["margins"]) == 9 and lens.semi_diameter.isfinite().all()
     assert torch.equal(lens.thickness, before.thickness)
@@ -178,9 +177,9 @@ def test_the_image_plane_of_the_file_remains_unless_another_is_asked_for(tmp_pat
 def test_a_lens_in_its_own_size_keeps_its_image_plane(tmp_path):
     """Without `focus`; at another object distance, or scaled, the network sets it."""
     given = fit_lens(tmp_path, cooke_triplet())[0]
-    assert imported.focus(fit_lens(tmp_path, given)[1]) == "file"
-    assert imported.focus(fit_lens(tmp_path, given, object_distance_mm=100.0)[1]) == "network"
-    assert imported.focus(fit_lens(tmp_path, given.scaled(1.01))[1]) == "network"
+    assert fit_lens(tmp_path, given)[1]["focus"] == "file"
+    assert fit_lens(tmp_path, given, object_distance_mm=100.0)[1]["focus"] == "network"
+    assert fit_lens(tmp_path, given.scaled(1.01))[1]["focus"] == "network"
 
 
 def test_its_own_clear_apertures_vignette(tmp_path):

@@ -127,8 +127,7 @@ def _imported(
 ) -> tuple[Lens, Notes]:
     """Read an imported lens and set its focus; return it with the notes for its file."""
     lens, details = imported.fit(settings, problem.view, plan.spec.f_number)
-    by = settings.focus or imported.focus(details)
-    focused = lens
+    by, focused = details["focus"], lens
     if by == "network":
         assert classifier is not None and problem.dataset is not None  # inputs of the job unless the focus needs none
         network = frozen(classifier, problem.dataset.images, "stored")
@@ -136,7 +135,7 @@ def _imported(
     elif by != "file":
         focused = refocused(lens, problem.view, by)
     origin = {"design": plan.entry.design_name, "method": "file"} | details
-    origin |= {"focus": by, "image_plane_shift_mm": float(focused.thickness[-1] - lens.thickness[-1])}
+    origin["image_plane_shift_mm"] = float(focused.thickness[-1] - lens.thickness[-1])
     pupil = torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)])
     radii = clear_semi_diameters(focused, problem.view.at_all_radii(), pupil)
     return with_notes(focused, _APERTURE * radii, plan, origin)

@@ -153,14 +153,13 @@ def _screened(
         "f_number": f_number,
     }
     files = {"file": str(path), "catalogues": [*map(str, catalogues)]}
-    entry = {"elements": ELEMENTS, **files, "spec": lens_spec}
+    entry = {"elements": ELEMENTS, **files, "spec": lens_spec, "focus": focus}
     spec = Spec.model_validate(sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
     lens, details = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number)
     if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
-    by = focus or imported.focus(details)
-    if by != "file":
+    if (by := details["focus"]) != "file":
         lens = refocused(lens, view, "spot" if by == "spot" else "mtf")
     grid = evaluation_psf(lens, view, _RAYS)
     remarks += filter(None, [window_remark(energy_inside(grid), view.kernel_size)])

@@ -16,7 +16,7 @@ ELEMENTS = "lens"  # name of its elements
 NETWORK = "network"
 TRAINING = ("joint", "end_to_end")  # methods that train the network with the lens
 _FIRST = "least_squares"  # designed first if a design starts from the best imaging lens
-_FROM_FLAT = {"task": None, "log_image_error": "log_image_error", "correlation": "correlation"}  # criteria by method
+_FROM_FLAT = ("task", "log_image_error", "correlation")  # methods with the schedule of the studies from flat plates
 _SIDE = 64  # of rendered images [pixels]
 _BY_NUMBER = (
     'a list replaces all descents; {"descents": {"0": {"steps": 200}}} (--set descents.0.steps=200) changes one'
@@ -60,7 +60,8 @@ def study(
     images_of_study = images or {"size": side, "train": 500, "minival": 10, "test": 10}
     base = methods()[method]
     if settings.get("start") == "flat" and not alone and method in _FROM_FLAT:
-        base = _with_criterion(_FROM_FLAT[method], from_flat(images_of_study["size"]))
+        schedule = from_flat(images_of_study["size"])
+        base = schedule if method == "task" else _with_criterion(method, schedule)
     design = merged_settings(base, settings)
     designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
     content = {
@@ -117,10 +118,8 @@ def _check_method(method: str, design: DesignSettings) -> None:
         raise InputError(f"network_learning_rate: only with the methods {' and '.join(TRAINING)}, not {method}")
 
 
-def _with_criterion(criterion: str | None, settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a design by another criterion, if it is not None, with the same start, steps and images."""
-    if criterion is None:
-        return dict(settings)
+def _with_criterion(criterion: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a design by another criterion, with the same start, steps and images."""
     network_keys = ("criterion", "network_learning_rate", "temperature", "batch_norm", "task")
     descents = [{k: v for k, v in descent.items() if k not in network_keys} for descent in settings["descents"]]
     kept = {key: value for key, value in settings.items() if key not in network_keys}

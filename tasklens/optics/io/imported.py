@@ -17,7 +17,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
-from tasklens.study.lens_entries import Focus, ImportedLens
+from tasklens.study.lens_entries import ImportedLens
 
 _SAME = 1e-9  # relative difference of equal focal lengths or vergences
 
@@ -35,7 +35,7 @@ def fit(settings: ImportedLens, view: View, f_number: float) -> tuple[Lens, dict
 
     Returns:
         The lens, and its origin: the file with its EFL [mm] and object distance [mm, None = infinity], the scale,
-        whether the lens is `as_in_file`, in size and object distance, and assumptions made when the file was read.
+        what sets its `focus`, and assumptions made when the file was read. Its image plane is still that of the file.
 
     Raises:
         FileError: the file cannot be read, or its lens does not fit the specification.
@@ -61,14 +61,9 @@ def fit(settings: ImportedLens, view: View, f_number: float) -> tuple[Lens, dict
         "file_efl_mm": efl,
         "file_object_distance_mm": None if math.isinf(source.object_distance_mm) else source.object_distance_mm,
         "scale": scale,
-        "as_in_file": same_object and same_size,
+        "focus": settings.focus or ("file" if same_object and same_size else "network"),
         **({"assumptions": list(source.remarks)} if source.remarks else {}),
     }
-
-
-def focus(details: Mapping[str, Any]) -> Focus:
-    """Return what sets the image plane of a lens from `fit`, unless its settings say so."""
-    return "file" if details["as_in_file"] else "network"
 
 
 def read(settings: ImportedLens) -> tuple[Prescription, Mapping[str, Any]]:
