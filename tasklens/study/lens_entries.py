@@ -1,7 +1,7 @@
 """Entries of a study's lenses: designed, or imported from files; no torch here."""
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, FilePath, field_validator
 
@@ -13,6 +13,7 @@ from tasklens.study.design_settings import (
     GradientDesignSettings,
 )
 from tasklens.study.fields import FieldSet, Points
+from tasklens.study.names import Focus
 from tasklens.study.quantities import Name
 from tasklens.study.settings import CaptureSettings, ClassifierSettings, Constraints, Frozen, Spec
 from tasklens.study.task_settings import TaskSettings
@@ -27,7 +28,6 @@ def _here_or_shipped(path: Any) -> Any:
 
 
 LensFile = Annotated[FilePath, BeforeValidator(_here_or_shipped)]
-Focus = Literal["file", "network", "mtf", "spot"]  # what sets the image plane of a lens from a file
 
 
 class ImportedLens(Frozen):

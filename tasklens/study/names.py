@@ -1,5 +1,8 @@
-"""Names of splits, and measured names: classifiers with or without restoration, and the sharp images."""
+"""Names of splits, of what sets a focus, and of measurements: classifiers with or without restoration, sharp images."""
 
+from typing import Literal
+
+Focus = Literal["file", "network", "mtf", "spot"]  # what sets the image plane of a lens from a file
 SPLITS = ("train", "minival", "test")  # of the images
 SHARP = "sharp"  # used in place of a lens name for measurements on the sharp images
 _RESTORED = "-restored"
