@@ -117,7 +117,7 @@ def test_a_lens_of_ones_own_gets_better_for_ones_own_network(photographs, capsys
         "--size",
         "32",
     )
-    quick = ("--set", "descents.0.steps=2", "--set", "rays=16", "--set", "batch_size=2", "--kernel-size", "11")
+    quick = ("--set", "descents.0.steps=10", "--set", "rays=16", "--set", "batch_size=2", "--kernel-size", "11")
     assert (
         design("--start", "start.yaml", "--method", "task", "--size", "32", *network, *quick, "-o", "better.yaml") == 0
     )

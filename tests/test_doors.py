@@ -1,0 +1,77 @@
+"""The command, the study that it writes, Python and the verdict of a design give the same answers of a network."""
+
+import json
+
+import pandas
+import pytest
+import timm
+import torch
+from examples import measurement, write_photographs
+from safetensors.torch import load_file
+
+import tasklens
+from tasklens.cli.app import main
+from tasklens.optics.analysis.focus import shifted
+from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.training import fit
+from tasklens.report import predictions
+from tasklens.runtime.files import write_tensors
+from tasklens.study.settings import TrainingSettings
+
+CLASSES = ("coarse", "fine", "medium")
+
+
+def stripes(count: int, seed: int) -> ImageDataset:
+    """Noisy stripes of three periods, which blur makes alike."""
+    generator = torch.Generator().manual_seed(seed)
+    labels = torch.arange(count) % len(CLASSES)
+    period = torch.tensor([9.0, 4.0, 6.0])[labels][:, None, None]
+    phase = torch.arange(32) / period + torch.rand(count, 1, 1, generator=generator)
+    waves = torch.sin(2 * torch.pi * phase)[:, None].expand(count, 3, 32, 32)
+    images = 127 + 45 * waves + 10 * torch.randn(count, 3, 32, 32, generator=generator)
+    return ImageDataset(images.clamp(0, 255).byte(), labels, CLASSES)
+
+
+@pytest.mark.slow
+def test_every_door_gives_the_same_answers(tmp_path, monkeypatch, capsys):
+    """For a designed lens and the same out of focus, both measured where their files put the image plane."""
+    monkeypatch.chdir(tmp_path)
+    write_photographs(tmp_path / "stripes/test", stripes(60, seed=0), CLASSES)
+    training = stripes(120, seed=1)
+    write_photographs(tmp_path / "stripes/train", training, CLASSES)
+    torch.manual_seed(0)
+    network = Classifier(timm.create_model("test_resnet", num_classes=3))
+    fit(network, training, TrainingSettings(epochs=10, learning_rate=1e-2, batch_size=10), 0, "test")
+    write_tensors(tmp_path / "mine.safetensors", network.network.state_dict(), {})
+    images = ("--images", "stripes", "--size", "32", "--network", "test_resnet", "--weights", "mine.safetensors")
+    quick = ("descents.0.steps=2", "rays=64", "batch_size=2")
+    options = [word for setting in quick for word in ("--set", setting)]
+    surfaces = [{"radius": 1.6, "thickness": 0.7, "material": "COC", "stop": True}, {"radius": -4.0}]
+    sensor = {"pixel_pitch_um": 4.0, "kernel_size": 15}
+    start, view = tasklens.lens(surfaces, field_of_view_deg=30, f_number=4, **sensor)
+    tasklens.save_lens("start.yaml", start, view)
+    command = ("design", "--start", "start.yaml", "--method", "task", *images, *options, "--json")
+    assert main([*command, "-o", "designed.yaml"]) == 0
+    verdict = json.loads(capsys.readouterr().out)["verdict"]
+
+    designed, view = tasklens.load_lens("designed.yaml")
+    tasklens.save_lens("blurred.yaml", shifted(designed, 0.1), view)
+    names = ("designed", "blurred")
+    files = [f"{name}.yaml" for name in names]
+    size = ("--diagonal", repr(2 * float(view.radii.max())), "--pixel-pitch", "4", "--kernel-size", "15")
+    assert main(["rank", *files, *images, *size, "--name", "command"]) == 0
+    weights = load_file("mine.safetensors")
+    module = timm.create_model("test_resnet", num_classes=3)
+    module.load_state_dict(weights)
+    result = tasklens.rank({name: tasklens.load_lens(f"{name}.yaml") for name in names}, "stripes", module, size=32)
+
+    for name in names:
+        study = predictions.read(measurement("command", f"lens-{name}", "network", kind="-predictions"))
+        assert study.to_numpy().tolist() == result.correct[name].to_numpy().tolist()
+    accuracies = [100 * result.correct[name].to_numpy().mean() for name in names]
+    assert accuracies[0] > accuracies[1] + 10
+    assert f"recognises {accuracies[0]:.1f} % through this lens" in verdict
+    table = pandas.read_csv("results/command/tables/ranking.csv").set_index("lens")
+    assert table.loc[list(names), "accuracy"].tolist() == pytest.approx(accuracies, abs=1e-9)
+    assert set(table["focus"]) == {"file"} and (table["image_plane_shift_um"] == 0).all()

@@ -1,0 +1,523 @@
+"""Ranking lenses for a network: order, groups and intervals; the sieve; the command, the page, and Python."""
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy
+import pandas
+import pytest
+import timm
+import torch
+import yaml
+from examples import measurement, random_images, write_photographs
+from safetensors.torch import load_file
+
+import tasklens
+from tasklens.cli.app import main
+from tasklens.optics.analysis.object_points import image_scale
+from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.analysis.focus import shifted
+from tasklens.optics.io import imported
+from tasklens.optics.view import view_of_spec
+from tasklens.pipeline import ranking as pipeline
+from tasklens.pipeline import screening
+from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.training import fit
+from tasklens.report import ranking
+from tasklens.report.ranking import Rank
+from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import FileError, read_tensors, write_tensors
+from tasklens.study.lens_entries import ImportedLens
+from tasklens.study.settings import Spec, TrainingSettings
+
+TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
+
+
+def singlet(front: float = 1.6, **changes) -> tuple:
+    """A lens of one element; typed without a last thickness, it is in focus."""
+    surfaces = [{"radius": front, "thickness": 0.7, "material": "COC", "stop": True}, {"radius": -4.0}]
+    return tasklens.lens(surfaces, **(TYPED | changes))
+
+
+def predictions(count: int, seed: int, *accuracies: float) -> dict[str, pandas.DataFrame]:
+    """Independent answers through lenses a, b, .. at two fields."""
+    generator = numpy.random.default_rng(seed)
+    index = pandas.MultiIndex.from_tuples([(k, "cat") for k in range(count)], names=["image", "label"])
+    return {
+        chr(ord("a") + k): pandas.DataFrame((generator.random((count, 2)) < p).astype(int), index, ["field0", "field1"])
+        for k, p in enumerate(accuracies)
+    }
+
+
+def test_the_order_is_that_of_the_accuracies():
+    """A rank with the accuracy at each field, and the difference to the first lens."""
+    correct = predictions(400, 0, 0.5, 0.9, 0.7)
+    ranks = ranking.ranked(correct)
+    assert [rank.lens for rank in ranks] == ["b", "c", "a"] and [rank.group for rank in ranks] == [1, 2, 3]
+    for rank in ranks:
+        assert rank.accuracy == pytest.approx(100 * correct[rank.lens].to_numpy().mean())
+        assert rank.by_field == pytest.approx((100 * correct[rank.lens].mean()).tolist())
+        assert rank.low < rank.accuracy < rank.high
+        assert rank.behind == pytest.approx(ranks[0].accuracy - rank.accuracy)
+    assert ranks[0].behind == ranks[0].behind_low == ranks[0].behind_high == 0
+    assert ranks[2].behind_low < ranks[2].behind < ranks[2].behind_high
+
+
+def test_equal_lenses_are_in_one_group():
+    """In at least 17 of 20 draws, twenty equally good lenses are in one group: 5 % are split wrongly."""
+    split = [max(rank.group for rank in ranking.ranked(predictions(200, seed, *20 * [0.8]))) > 1 for seed in range(20)]
+    assert sum(split) <= 3
+
+
+def test_a_much_better_lens_is_alone_among_hundreds():
+    """Also if it classifies every photograph correctly, and the others none."""
+    ranks = ranking.ranked(predictions(100, 0, 0.99, *299 * [0.2]))
+    assert [rank.group for rank in ranks].count(1) == 1
+    assert [rank.group for rank in ranking.ranked(predictions(50, 0, 1.0, 0.0))] == [1, 2]
+
+
+def test_few_photographs_do_not_make_a_lens_perfect():
+    """Ten of ten right: the accuracy is above 69 %, by the binomial distribution; the difference is as uncertain."""
+    ranks = ranking.ranked(predictions(10, 0, 1.0, 1.0))
+    assert [rank.low for rank in ranks] == pytest.approx([69.15] * 2, abs=0.01) and ranks[0].high == 100
+    assert ranks[1].behind_high == pytest.approx(30.85, abs=0.01) == -ranks[1].behind_low
+    (sentence,) = ranking.sentences(ranks[:1], {})
+    assert sentence == "a: 100.0 %, without another lens to compare with."
+
+
+def test_photographs_that_all_agree_are_few():
+    """In each of 8 photographs the second lens misses one field of 9: the difference may be up to 37 points off."""
+    first = pandas.DataFrame(1, index=pandas.MultiIndex.from_product([range(8), ["a"]]), columns=[*"abcdefghi"])
+    first.index.names = ["image", "label"]
+    ranks = ranking.ranked({"a": first, "b": first.assign(i=0)})
+    assert [rank.group for rank in ranks] == [1, 1]
+    assert (ranks[1].behind_low, ranks[1].behind_high) == pytest.approx((11.11 - 36.94, 11.11 + 36.94), abs=0.01)
+    ranks = ranking.ranked({"a": first.iloc[:3], "b": 0 * first.iloc[:3]})
+    assert ranks[1].behind_high == 100 and ranks[1].behind_low == pytest.approx(29.24, abs=0.01)
+    many = pandas.concat([first.rename(index=lambda k, c=copy: 8 * c + k, level=0) for copy in range(9)])
+    assert [rank.group for rank in ranking.ranked({"a": many, "b": many.assign(i=0)})] == [1, 2]
+
+
+def test_differences_are_of_the_same_photographs():
+    """A lens that fails in a few photographs more is behind, however different the photographs are."""
+    correct = predictions(300, 0, 0.5)
+    worse = correct["a"].copy()
+    worse.iloc[(worse.sum(axis=1) == 2).to_numpy().nonzero()[0][:12]] = 0
+    ranks = ranking.ranked({**correct, "b": worse})
+    assert [rank.group for rank in ranks] == [1, 2]
+    assert ranks[1].behind_high - ranks[1].behind_low < 0.7 * (ranks[1].high - ranks[1].low)
+
+
+def rank(lens: str, group: int, accuracy: float, low: float, high: float) -> Rank:
+    return Rank(lens, group, accuracy, 0, 0, 0, low, high, ())
+
+
+def test_the_columns_of_axis_and_corner_are_those_of_the_nine_fields():
+    """The accuracy is that of the 16 fields between them."""
+    first = Rank("a", 1, 60, 0, 0, 0, 50, 70, (40.0, 80.0, 60.0))
+    at_nine = pandas.DataFrame([[1] * 8 + [0], [1] * 4 + [0] * 5])
+    row = ranking.row(first, "A", at_nine, 2.0, 60.0, 3.0)
+    assert (row["accuracy_axis"], row["accuracy_corner"]) == (100.0, 0.0)
+    assert row["accuracy_at_nine"] == pytest.approx(100 * 12 / 18) and row["accuracy"] == 60
+
+
+@pytest.mark.parametrize("scaled", [True, False])
+def test_the_image_of_a_near_object_ends_at_the_corner_of_the_sensor(tmp_path, scaled):
+    """It is larger than that of an object at infinity: the outermost chief ray lands where the sensor ends."""
+    lens, view = singlet(field_of_view_deg=40)
+    tasklens.save_lens(tmp_path / "lens.yaml", lens, view)
+    half = 0.8 * float(view.radii.max())
+    sensor = {"diagonal_mm": 2 * half, "object_distance_mm": 25.0}
+    screened = screening.screen([tmp_path / "lens.yaml"], sensor, [], scaled)
+    (entry,) = screened.entries.values()
+    spec = Spec.model_validate(sensor | entry["spec"])
+    near = view_of_spec(spec)
+    fitted, _ = imported.fit(ImportedLens.model_validate(entry), near, spec.f_number)
+    assert float(near.radii.max() * image_scale(fitted, near)) == pytest.approx(half, rel=1e-6)
+    assert float(near.radii.max()) < 0.97 * half
+    efl = float(paraxial(fitted, near.reference_um).efl)
+    assert (efl == pytest.approx(view.efl, rel=1e-6)) != scaled
+
+
+def test_the_answer_in_words():
+    ranks = [rank("a", 1, 90, 0, 0), rank("b", 1, 89.5, -0.2, 1.2), rank("c", 2, 85, 4, 7)]
+    assert ranking.sentences(ranks, {"a": "A", "b": "B"}) == [
+        "A and B cannot be distinguished by these photographs: they agree within 1.2 points.",
+        "c: 4.0 to 7.0 points behind the first.",
+    ]
+    assert ranking.sentences([ranks[0], ranks[2]], {})[0] == "a is the best."
+
+
+def test_what_the_sieve_may_have_missed():
+    """A lens with a lower MTF was better by 5 points; the measured lens with the lowest MTF is 20 behind, then 3."""
+    mtf = {"a": 0.9, "b": 0.8, "c": 0.5, "left": 0.4, "out": 0.3}
+    ranks = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 70, 0, 0)]
+    sentence = ranking.sieve(ranks, mtf, ["left", "out"])
+    assert "Not measured: 2 lenses with a mean MTF of at most 0.40" in sentence and "by at most 5.0 points" in sentence
+    assert "20.0 points behind the first" in sentence and "would be a surprise" in sentence
+    close = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 87, 0, 0)]
+    assert "cannot be excluded" in ranking.sieve(close, mtf, ["left", "out"])
+    assert ranking.sieve(ranks, mtf, []) is None
+    assert "all have one accuracy" in ranking.sieve([rank(name, 1, 90, 0, 0) for name in "abc"], mtf, ["out"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Five lenses, two of which cannot be used; sixty photographs of three classes; a network that knows them."""
+    folder = tmp_path_factory.mktemp("rank")
+    images = random_images(60, 32, 3, seed=0)
+    write_photographs(folder / "photographs", images, ("cat", "dog", "owl"))
+    torch.manual_seed(0)
+    network = Classifier(timm.create_model("test_resnet", num_classes=3))
+    fit(network, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
+    write_tensors(folder / "mine.safetensors", network.network.state_dict(), {})
+    (folder / "lenses").mkdir()
+    for name, lens in {
+        "sharp": singlet(),
+        "Fast.2": singlet(f_number=2.8),
+        "narrow": singlet(field_of_view_deg=10),
+    }.items():
+        tasklens.save_lens(folder / "lenses" / f"{name}.yaml", *lens)
+    tasklens.save_lens(folder / "lenses" / "sharp_too.zmx", *singlet())
+    (folder / "lenses" / "notes.yaml").write_text("no: lens\n")
+    (folder / "lenses" / ".hidden.yaml").write_text("no: lens\n")
+    return folder
+
+
+@pytest.fixture
+def here(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    return folder
+
+
+COMMAND = ("rank", "lenses", "--images", "photographs", "--network", "test_resnet")
+WEIGHTS = ("--weights", "mine.safetensors")
+SMALL = ("--size", "32", "--kernel-size", "15", "--diagonal", "1.0", "--pixel-pitch", "4", "--max-images", "40")
+SENSOR = (*WEIGHTS, *SMALL)
+
+
+@pytest.fixture(scope="module")
+def ranked(folder):
+    """The command for all lenses, as a program."""
+    command = [sys.executable, "-m", "tasklens.cli", *COMMAND, *SENSOR]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True)
+
+
+@pytest.mark.slow
+def test_the_command_ranks_a_folder_of_lenses(here, ranked, capfd):
+    """A table, a page, and reasons for what is not measured; two lenses that are the same are equal."""
+    assert ranked.returncode == 0, ranked.stderr
+    assert "the network recognises" in ranked.stderr
+    assert "3 of 5 lenses are measured with 40 of 60 photographs" in ranked.stderr
+    table = pandas.read_csv("results/ranking/tables/ranking.csv").set_index("lens")
+    assert set(table.index) == {"sharp", "sharp_too", "Fast.2"} and (table["accuracy"] > 40).all()
+    assert table.loc["sharp", "accuracy"] == pytest.approx(table.loc["sharp_too", "accuracy"], abs=1e-9)
+    assert table["group"].min() == 1
+    assert "narrow: covers 0." in ranked.stdout and "mm of the sensor's diagonal of 1 mm" in ranked.stdout
+    assert "notes: not a lens" in ranked.stdout and "hidden" not in ranked.stdout
+    page = (here / "results/ranking/ranking.html").read_text()
+    assert page.count("<article") == 3 and "Not measured" in page and "covers 0." in page
+    assert "://" not in page and "data:image/svg+xml" in page
+
+    assert main([*COMMAND, *SENSOR]) == 0
+    assert "Nothing to be done" in capfd.readouterr().err
+
+
+FUNCTION = """
+import timm
+from safetensors.torch import load_file
+def build(num_classes):
+    network = timm.create_model("test_resnet", num_classes=num_classes)
+    network.load_state_dict(load_file("mine.safetensors"))
+    return network
+"""
+
+
+@pytest.mark.slow
+def test_a_function_of_ones_own_is_ranked_alike(here, ranked, monkeypatch):
+    """The workflow's jobs can use it: it loads its own weights, and has the answers of the named network."""
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    (here / "own_nets.py").write_text(FUNCTION)
+    options = ("--network", "own_nets:build", "--name", "own")
+    assert main(["rank", "lenses/sharp.yaml", *COMMAND[2:4], *SMALL, *options]) == 0
+    own, by_name = (measurement(name, "lens-sharp", "network", kind="-predictions") for name in ("own", "ranking"))
+    assert own.read_text() == by_name.read_text()
+
+
+@pytest.mark.slow
+def test_built_lenses_and_a_sieve(here, capfd, monkeypatch):
+    """The two lenses of the highest MTF are measured, and the first one is built in simulation."""
+    study_of, few = pipeline.study, {"tolerances": {"lenses": 10, "images": 10}}
+    monkeypatch.setattr(pipeline, "study", lambda *arguments: study_of(*arguments) | few)
+    options = (
+        "--sieve",
+        "3",
+        "--as-built",
+        "1",
+        "--name",
+        "built",
+        "--full-well",
+        "500",
+        "--scale",
+        "--object-distance",
+        "100",
+    )
+    assert main([*COMMAND, *SENSOR, *options]) == 0
+    output = capfd.readouterr().out
+    table = pandas.read_csv("results/built/tables/ranking.csv")
+    assert len(table) == 3 and table["built_lose"].notna().tolist() == [True, False, False]
+    assert "Not measured: 1 lens with a mean MTF of at most" in output
+    study = yaml.safe_load((here / "results/built/study.yaml").read_text())
+    (first, *_) = sorted((here / "results/built/lenses").glob("*/seed0/lens.yaml"))
+    content = yaml.safe_load(first.read_text())
+    assert content["object_distance_mm"] == content["spec"]["object_distance_mm"] == 100
+    assert content["figures"]["object_distance_mm"] == pytest.approx(100)
+    left = set(study["ranking"]["mtf"]) - {f"lens-{name}" for name in study["imported"]}
+    assert len(left) == 1 and study["capture"]["sensor"]["full_well"] == 500
+    assert all(study["ranking"]["mtf"][name] <= min(table["mtf_mean"]) for name in left)
+
+
+@pytest.mark.slow
+def test_a_network_that_gets_used_to_each_lens(here):
+    """After an epoch of fine-tuning, through PSFs with diffraction; all other photographs are for the training."""
+    more = ("--fine-tune", "1", "--diffraction", "--name", "tuned", "--max-images", "20")
+    assert main(["rank", "lenses/sharp.yaml", *COMMAND[2:], *SENSOR, *more]) == 0
+    assert "after 1 epochs of fine-tuning" in (here / "results/tuned/ranking.html").read_text()
+    study = yaml.safe_load((here / "results/tuned/study.yaml").read_text())
+    assert study["images"]["train"] is None and study["capture"]["diffraction"]
+    (psfs,) = (here / "results/tuned/lenses").rglob("psf.safetensors")
+    assert read_tensors(psfs)[1]["diffraction"]
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (COMMAND[:2], "expected --images FOLDER and --network NAME"),
+        (COMMAND, "give one of --weights FILE, --pretrained"),
+        ((*COMMAND[:1], "nowhere", *COMMAND[2:], *SENSOR), "nowhere: no such lens file or folder"),
+        ((*COMMAND[:1], "photographs", *COMMAND[2:], *SENSOR), "photographs: no lens file there"),
+        (
+            (*COMMAND[:1], "lenses/narrow.yaml", *COMMAND[2:], *SENSOR),
+            "none of the lenses can be measured: narrow: covers",
+        ),
+        ((*COMMAND, *SENSOR, "--as-built", "1", "--diffraction"), "--as-built: not with --diffraction"),
+        ((*COMMAND, *SENSOR, "--grade", "phone_moulding"), "--grade: only with --as-built COUNT"),
+        ((*COMMAND, *SENSOR, "--wavelengths", "0.5,0.6,0.7"), "wavelengths_um"),
+        ((*COMMAND, *SENSOR, "--diagonal", "-1"), "diagonal_mm = -1.0: expected greater than 0"),
+        ((*COMMAND, *SENSOR, "--images", "lenses"), "images.folder = lenses: expected a folder test or val in it"),
+    ],
+)
+def test_mistakes_are_one_line(here, capsys, arguments, words):
+    assert main(list(arguments)) == 2
+    assert words in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_wrong_name_is_refused_before_lenses_are_read(here, capsys, monkeypatch):
+    def unexpected(*_):
+        raise AssertionError("lenses are read")
+
+    monkeypatch.setattr(screening, "screen", unexpected)
+    assert main([*COMMAND, *SENSOR, "--name", "My-Lenses"]) == 2
+    assert "name = 'My-Lenses'" in capsys.readouterr().err.splitlines()[-1]
+    with pytest.raises(AssertionError, match="lenses are read"):
+        main([*COMMAND, *SENSOR])
+
+
+def test_a_network_that_recognises_nothing_ranks_nothing(here, capsys):
+    weights = timm.create_model("test_resnet", num_classes=3).state_dict()
+    write_tensors(here / "zero.safetensors", {name: torch.zeros_like(value) for name, value in weights.items()}, {})
+    assert main([*COMMAND, *SENSOR, "--weights", "zero.safetensors"]) == 2
+    assert "no better than guessing" in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_names_of_lenses_in_a_study(tmp_path):
+    """Unique names of small letters, digits and underscores; files of equal names have their folder in the title."""
+    paths = [tmp_path / "a" / "Lens 1.zmx", tmp_path / "b" / "Lens 1.zmx", tmp_path / "c.zmx"]
+    assert screening._name(paths[0], []) == "lens_1" and screening._name(paths[1], ["lens_1"]) == "lens_1_2"
+    assert screening._title(paths[2], paths) == "c" and screening._title(paths[0], paths).endswith("a/Lens 1.zmx")
+
+
+def test_ranking_in_python_agrees_with_the_command(here):
+    """The same accuracies of the same photographs, with a module as the network."""
+    network = timm.create_model("test_resnet", num_classes=3)
+    network.load_state_dict(load_file("mine.safetensors"))
+    lenses = {name: tasklens.load_lens(f"lenses/{name}.yaml") for name in ("sharp", "Fast.2")}
+    result = tasklens.rank(lenses, "photographs", network, size=32, max_images=30)
+    assert set(result.table["lens"]) == set(lenses) and (result.table["accuracy"] > 40).all()
+    assert "<table" in result._repr_html_() and result.sentences
+    result.save("ranking.html", answer=["Mine."])
+    assert "Mine." in (here / "ranking.html").read_text()
+    pairs = [(torch.rand(3, 32, 32), 0), (torch.rand(3, 32, 32), 1)]
+    with pytest.warns(UserWarning, match="rank: the network recognises .* too few images to tell it from guessing"):
+        assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2
+    with pytest.raises(InputError, match="returns a tensor"):
+        tasklens.rank(lenses, pairs, torch.nn.Conv2d(3, 2, 3))
+    with pytest.raises(InputError, match="images: number 1: expected a pair"):
+        tasklens.rank(lenses, [pairs[0], 3], network)
+    shutil.rmtree("results", ignore_errors=True)
+
+
+def test_a_network_that_only_guesses_ranks_nothing_in_python():
+    """As in the command; too few images to tell are a warning."""
+    lenses, guesses = {"mine": singlet()}, Answers(lambda images: images.mean((2, 3)))
+    pairs = [(torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(k)), k % 3) for k in range(60)]
+    with pytest.raises(InputError, match=r"rank: the network recognises .* of 60 sharp images .* no better than guess"):
+        tasklens.rank(lenses, pairs, guesses)
+    with pytest.warns(UserWarning, match="too few images to tell it from guessing"):
+        tasklens.rank(lenses, pairs[:3], guesses, rays=64)
+
+
+def test_a_printed_ranking_is_its_table():
+    pairs = [(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10
+    brightness = Answers(lambda images: -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square())
+    result = tasklens.rank({"mine": singlet(), "fast": singlet(f_number=2.8)}, pairs, brightness, rays=64)
+    for text in (str(result), repr(result)):
+        heading, *rows = text.splitlines()
+        assert "accuracy [%]" in heading and {row.split()[0] for row in rows} <= {"mine", "fast", "1"}
+        assert len(rows) == 2 and "svg" not in text
+
+
+def test_outputs_of_imagenet_in_python():
+    """As in the command: classes by their WordNet ids, alone or among all; an unknown word and other outputs fail."""
+    names = ("n01440764", "n01514668", "n02102040")  # in ImageNet's order 0, 7 and 217
+
+    class Photographs(list):
+        classes = names
+
+    def answers(other: float):
+        """Logits of brightness for these classes, and one for another class."""
+
+        def logits(images):
+            values = torch.full((len(images), 1000), -9.0)
+            values[:, [0, 7, 217]] = -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square()
+            values[:, 500] = other
+            return values
+
+        return Answers(logits)
+
+    data = Photographs([(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10)
+    lenses, options = {"mine": singlet()}, {"rays": 64}
+    for other, outputs in ((1.0, "imagenet"), (-9.0, "all_imagenet")):
+        assert tasklens.rank(lenses, data, answers(other), outputs=outputs, **options).sharp == 100
+    for outputs in ("classes", "all_imagenet"):
+        with pytest.raises(InputError, match="no better than guessing"):
+            tasklens.rank(lenses, data, answers(1.0), outputs=outputs, **options)
+    with pytest.raises(InputError, match="outputs: expected classes, imagenet, all_imagenet, got 'all'"):
+        tasklens.rank(lenses, data, answers(1.0), outputs="all", **options)
+    with pytest.raises(InputError, match="expected logits of the 1000 classes of ImageNet"):
+        tasklens.rank(lenses, data, Answers(lambda images: images.mean((2, 3))), outputs="imagenet", **options)
+    data.classes = ("cat", "dog", "owl")
+    with pytest.raises(FileError, match="expected folders named by WordNet ids"):
+        tasklens.rank(lenses, data, answers(1.0), outputs="imagenet", **options)
+
+
+def test_lenses_are_screened_for_a_sensor(here, capsys):
+    """Lenses keep size and F-number; with `scaled`, a narrow lens is enlarged until its field fills the sensor."""
+    paths = screening.lens_paths([here / "lenses"])
+    assert [path.name for path in paths] == ["Fast.2.yaml", "narrow.yaml", "notes.yaml", "sharp.yaml", "sharp_too.zmx"]
+    sensor = {"diagonal_mm": 1.0, "pixel_pitch_um": 4.0, "kernel_size": 15}
+    screened = screening.screen(paths, sensor, [], scaled=False)
+    assert set(screened.entries) == {"fast_2", "sharp", "sharp_too"} and set(screened.left_out) == {"narrow", "notes"}
+    assert screened.titles["fast_2"] == "Fast.2" and screened.mtf["sharp"] == pytest.approx(screened.mtf["sharp_too"])
+    assert screened.entries["fast_2"]["spec"]["f_number"] == pytest.approx(2.8, rel=1e-3)
+    focal_length = tasklens.load_lens(here / "lenses/sharp.yaml")[1].efl
+    half = numpy.radians(screened.entries["sharp"]["spec"]["field_of_view_deg"] / 2)
+    assert 0.5 / numpy.tan(half) == pytest.approx(focal_length, rel=1e-3)
+    assert "ranked at" not in capsys.readouterr().err
+    screening.screen(paths, sensor | {"wavelengths_um": (0.9, 0.85, 0.8)}, [], scaled=False)
+    assert "is designed for 0.6563, 0.5893, 0.4861 um, and ranked at 0.9, 0.85, 0.8 um" in capsys.readouterr().err
+    scaled = screening.screen(paths, sensor, [], scaled=True)
+    assert scaled.entries["narrow"]["spec"]["field_of_view_deg"] == pytest.approx(10, rel=1e-6)
+
+
+def test_a_fifth_of_a_folder_is_tested_if_the_network_is_trained(tmp_path):
+    """So that photographs remain to train with; without training, all but three are tested."""
+    for k in range(60):
+        (tmp_path / f"class{k % 2}").mkdir(exist_ok=True)
+        (tmp_path / f"class{k % 2}" / f"{k}.png").touch()
+    for most, trained, focused, test, others in (
+        (500, True, False, 12, "; the network is trained on others"),
+        (5, True, False, 5, "; the network is trained on others"),
+        (500, False, False, 57, "; 3 others are needed as training images"),
+        (500, False, True, 34, "; 26 others are for the focus"),
+    ):
+        images = pipeline.image_settings(tmp_path, 32, most, trained, focused)
+        assert images["test"] == test and pipeline.photographs(images) == f"{test} of 60 photographs{others}"
+    with pytest.raises(FileError, match="too few photographs for a ranking"):
+        (tmp_path / "few" / "a").mkdir(parents=True)
+        pipeline.image_settings(tmp_path / "few", 32, 500, True, False)
+
+
+class Answers(torch.nn.Module):
+    """A network that returns what a function makes of the images."""
+
+    def __init__(self, function):
+        super().__init__()
+        self.function = function
+
+    def forward(self, images: torch.Tensor):
+        return self.function(images)
+
+
+@pytest.mark.parametrize(
+    "network, words",
+    [
+        (Answers(lambda images: (images.mean((2, 3)), None)), "returns a tuple; expected a tensor of logits"),
+        (Answers(lambda images: {"logits": images}), "returns a dict"),
+        (torch.mean, "expected a torch.nn.Module, got builtin"),
+        (Answers(lambda images: images.tolist().index(3)), "fails for images"),
+        (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(7, 2)), r"fails for images \(3, 32, 32\): .*mat1"),
+        (torch.nn.Sequential(torch.nn.Conv2d(3, 2, 3), torch.nn.BatchNorm2d(5)), r"fails for images \(3, 32, 32\): "),
+        (Answers(lambda images: torch.nan * images.mean((2, 3))), "logits that are not finite"),
+    ],
+)
+def test_a_network_that_returns_no_logits_ranks_nothing(network, words):
+    pairs = [(torch.rand(3, 32, 32), k) for k in (0, 1)]
+    with pytest.raises(InputError, match=words):
+        tasklens.rank({"mine": singlet()}, pairs, network)
+
+
+def test_names_of_lenses_are_text_on_a_page():
+    pairs = [(torch.rand(3, 32, 32), k) for k in (0, 1)]
+    network = Answers(lambda images: images.mean((2, 3)))
+    assert "<b>a&b" not in tasklens.rank({"<b>a&b": singlet()}, pairs, network, rays=64)._repr_html_()
+
+
+def test_a_field_beyond_the_sensor_is_named(capsys):
+    """A lens of a larger sensor is measured on the part of its field that the sensor sees."""
+    path = Path(__file__).parents[1] / "config" / "lenses" / "phone_3p.yaml"
+    entry = screening.screen([path], {}, [], scaled=False).entries["phone_3p"]
+    assert "has a field of 4.77 mm, used up to the sensor's diagonal of 4 mm" in capsys.readouterr().err
+    assert entry["spec"]["field_of_view_deg"] == pytest.approx(71.85, abs=0.01)
+
+
+@pytest.mark.slow
+def test_every_door_gives_the_same_answers(here, tmp_path):
+    """Through a lens in focus and one that is not: the command, which imports them into a study, and Python.
+
+    The verdict of a design is of the Python function.
+    """
+    write_photographs(tmp_path / "test", random_images(40, 32, 3, seed=0), ("cat", "dog", "owl"))
+    write_photographs(tmp_path / "train", random_images(12, 32, 3, seed=1), ("cat", "dog", "owl"))
+    lens, view = singlet()
+    for name, shift in (("sharp", 0.0), ("blurred", 0.2)):
+        tasklens.save_lens(here / f"{name}.yaml", shifted(lens, shift), view)
+    sensor = ("--diagonal", repr(2 * float(view.radii.max())), "--pixel-pitch", "4", "--kernel-size", "15")
+    images = ("--images", str(tmp_path), "--size", "32")
+    assert (
+        main(["rank", "sharp.yaml", "blurred.yaml", *COMMAND[4:], *WEIGHTS, *images, *sensor, "--name", "doors"]) == 0
+    )
+    network = timm.create_model("test_resnet", num_classes=3)
+    network.load_state_dict(load_file("mine.safetensors"))
+    lenses = {name: tasklens.load_lens(f"{name}.yaml") for name in ("sharp", "blurred")}
+    result = tasklens.rank(lenses, tmp_path, network, size=32)
+    for name, correct in result.correct.items():
+        command = read_predictions(measurement("doors", f"lens-{name}", "network", kind="-predictions"))
+        assert command.to_numpy().sum(0).tolist() == correct.to_numpy().sum(0).tolist()
+    assert result.correct["sharp"].to_numpy().mean() > result.correct["blurred"].to_numpy().mean() + 0.1
+    table = pandas.read_csv("results/doors/tables/ranking.csv")
+    assert set(table["focus"]) == {"file"} and (table["image_plane_shift_um"] == 0).all()
+
+
