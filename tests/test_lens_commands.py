@@ -3,6 +3,7 @@
 import json
 import math
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy
@@ -12,6 +13,7 @@ import yaml
 from PIL import Image
 
 from tasklens.cli.app import main
+from tasklens.optics.analysis.spots import chief_points
 from tasklens.optics.io import lens_files, prescription
 from tasklens.runtime.files import read_tensors
 
@@ -74,6 +76,28 @@ def test_a_zemax_file_of_our_lens_has_its_figures(capsys):
         assert theirs[key] == pytest.approx(ours[key], rel=1e-6)
     for key in ("angle_deg", "rms_centroid_um", "core_radius_um", "mtf_sagittal_half_nyquist"):
         assert theirs["fields"][key] == pytest.approx(ours["fields"][key], rel=1e-3, abs=1e-3), key
+
+
+def test_the_fields_of_a_file_are_its_own(folder, capsys):
+    """Angles and heights, on both axes; the nine of the sensor on request, or with another field of view."""
+    points = ((0.0, 0.0), (0.0, 10.0), (-12.0, 16.0))
+    source = prescription.read(DOUBLET)[0]
+    prescription.write(folder / "own.yaml", replace(source, fields=("angle_deg", points)), {})
+    own = json_of(capsys, "analyse", "own.yaml", *FEW)
+    tangents = [[math.tan(math.radians(angle)) for angle in point] for point in points]
+    assert numpy.array(own["fields_mm"]) / own["efl_mm"] == pytest.approx(numpy.array(tangents), rel=1e-9)
+    (shown,) = json_of(capsys, "show", "own.yaml", *FEW).values()
+    assert shown["fields"]["angle_deg"] == own["angle_deg"] and own["angle_deg"][1] == pytest.approx(10)
+    nine = json_of(capsys, "analyse", "own.yaml", *FEW, "--sensor-fields")
+    assert len(nine["fields_mm"]) == 9 and max(nine["angle_deg"]) == pytest.approx(max(own["angle_deg"]))
+    assert len(json_of(capsys, "analyse", "own.yaml", *FEW, "--field-of-view", 30)["fields_mm"]) == 9
+
+    by_angle = lens_files.read(folder / "own.yaml")
+    chief = chief_points(by_angle.lens, by_angle.own_view.in_reference())
+    heights = tuple(map(tuple, chief.tolist()))
+    prescription.write(folder / "heights.yaml", replace(source, fields=("real_image_height_mm", heights)), {})
+    fields = lens_files.read(folder / "heights.yaml").own_view.fields
+    assert torch.allclose(fields, by_angle.own_view.fields, rtol=1e-9, atol=1e-9)
 
 
 def test_options_are_in_place_of_the_files_specification(capsys):

@@ -14,6 +14,7 @@ from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
+    from tasklens.optics.io.lens_files import LensFile
     from tasklens.optics.view import View
 
 app = typer.Typer(no_args_is_help=True)
@@ -22,6 +23,9 @@ File = Annotated[Path, typer.Argument(help="Lens: .yaml or .zmx.", show_default=
 Files = Annotated[list[Path], typer.Argument(help="Lenses: .yaml or .zmx.", show_default=False)]
 _GRADE = "precision_moulding"
 Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
+SensorFields = Annotated[
+    bool, typer.Option("--sensor-fields", help="At nine fields over the sensor, also if the file has its own.")
+]
 Colour = Annotated[
     Literal["srgb", "linear"] | None,
     typer.Option(help="Blur sRGB values, or linear light, the default with --full-well.", show_default="srgb"),
@@ -35,14 +39,16 @@ FullWell = Annotated[
 
 
 @lens_command(app)
-def show(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
+def show(
+    read: Callable, files: Files, rays: Rays = 4096, sensor_fields: SensorFields = False, json: AsJson = False
+) -> None:
     """Summarise lenses: elements, focal length, sharpness from axis to corner, tightest margin."""
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.report import glance
 
     lenses = {str(path): read(path) for path in files}
     summaries = {
-        name: glance.summary(item.lens, item.content, figures(item.lens, item.view, rays))
+        name: glance.summary(item.lens, item.content, figures(item.lens, _view(item, sensor_fields), rays))
         for name, item in lenses.items()
     }
     if json:
@@ -66,18 +72,21 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
 
 
 @lens_command(app)
-def analyse(read: Callable, file: File, rays: Rays = 4096, json: AsJson = False) -> None:
+def analyse(
+    read: Callable, file: File, rays: Rays = 4096, sensor_fields: SensorFields = False, json: AsJson = False
+) -> None:
     """Print all figures of a lens: first-order data, figures by field, aberrations by surface."""
     from tasklens.optics.analysis.datasheet import figures, seidel_by_surface
     from tasklens.report import certificate
 
     lens = read(file)
-    content = {**lens.content, "figures": figures(lens.lens, lens.view, rays)}
-    by_surface = seidel_by_surface(lens.lens, lens.view)
+    view = _view(lens, sensor_fields)
+    content = {**lens.content, "figures": figures(lens.lens, view, rays)}
+    by_surface = seidel_by_surface(lens.lens, view)
     if json:
-        print_json(content["figures"] | {"fields_mm": lens.view.fields.tolist(), "seidel_by_surface_um": by_surface})
+        print_json(content["figures"] | {"fields_mm": view.fields.tolist(), "seidel_by_surface_um": by_surface})
     else:
-        print(certificate.markdown(str(file), lens.view.fields.tolist(), content, by_surface), end="")
+        print(certificate.markdown(str(file), view.fields.tolist(), content, by_surface), end="")
 
 
 @lens_command(app)
@@ -262,6 +271,11 @@ def export(
     lens_files.write(output, lens_data, content)
     say(f"wrote {output}")
     say_catalogue(output, media)
+
+
+def _view(lens_file: "LensFile", sensor_fields: bool) -> "View":
+    """Return the view of a lens at the fields of its file, if it has its own, or at those of the sensor."""
+    return lens_file.view if sensor_fields else lens_file.own_view
 
 
 def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:

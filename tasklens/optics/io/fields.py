@@ -1,10 +1,11 @@
-"""The field of a prescription: its largest angle, from angles, object heights or image heights."""
+"""The fields of a prescription as direction tangents, from angles, object heights or image heights."""
 
 import math
 from dataclasses import replace
 
 import torch
 from scipy.optimize import brentq
+from torch import Tensor
 
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.spots import chief_rays
@@ -18,12 +19,12 @@ _EDGE_STEPS = 20  # bisections between a chief ray that arrives and one that is 
 _FIELD = "give the full field of view in degrees: --field-of-view, in Python field_of_view_deg"
 
 
-def largest_tangent(prescription: Prescription, efl: float, pupil_z: float, wavelength: float) -> float:
-    """Compute the tangent of the largest field angle of a prescription; zero if its only field is the axis.
+def field_tangents(prescription: Prescription, efl: float, pupil_z: float, wavelength: float) -> Tensor:
+    """Compute the direction tangents (F, 2) of the fields of a prescription, as seen from the entrance pupil.
 
-    For an object height h it is the tangent of the chief ray, h / (distance to the entrance pupil). For a paraxial
-    image height it is h / (f k), with k from `image_scale`. For a real image height it is the tangent of the chief ray
-    that arrives there.
+    For a field angle they are (tan x, tan y). For an object height h the tangent is that of the chief ray,
+    h / (distance to the entrance pupil). For a paraxial image height it is h / (f k), with k from `image_scale`. For a
+    real image height it is the tangent of the chief ray that arrives there.
 
     Raises:
         InputError: the prescription has no fields, or fields that need a near object, or no chief ray arrives.
@@ -32,18 +33,21 @@ def largest_tangent(prescription: Prescription, efl: float, pupil_z: float, wave
         raise InputError(f"has neither a spec nor fields; {_FIELD}")
     kind, points = prescription.fields
     near = math.isfinite(prescription.object_distance_mm)
+    fields = torch.tensor(points, dtype=torch.float64)
     if kind == "angle_deg":
-        if (widest := max(abs(angle) for point in points for angle in point)) >= 90:
+        if (widest := float(fields.abs().max())) >= 90:
             raise InputError(f"a field of {widest:g} degrees: expected less than 90; {_FIELD}")
-        return max(math.hypot(*(math.tan(math.radians(angle)) for angle in point)) for point in points)
-    height = max(math.hypot(*point) for point in points)
+        return torch.tan(torch.deg2rad(fields))
     view = View(torch.zeros(1, 2, dtype=torch.float64), efl, (wavelength,), 1.0, 3, 1 / prescription.object_distance_mm)
     if kind == "object_height_mm" and near:
-        return height / (prescription.object_distance_mm + pupil_z)
+        return fields / (prescription.object_distance_mm + pupil_z)
     if kind == "paraxial_image_height_mm":
-        return height / (efl * abs(float(image_scale(prescription.lens, view))))
+        return fields / (efl * abs(float(image_scale(prescription.lens, view))))
     if kind == "real_image_height_mm":
-        return _tangent_of_image_height(prescription.lens, view, height) if height else 0.0
+        heights = fields.norm(dim=1).tolist()
+        tangents = {height: _tangent_of_image_height(prescription.lens, view, height) for height in {*heights} - {0.0}}
+        ratios = [tangents[height] / height if height else 0.0 for height in heights]
+        return fields * torch.tensor(ratios, dtype=torch.float64)[:, None]
     raise InputError(f"fields by {kind.replace('_', ' ')} and an object at infinity have no angle; {_FIELD}")
 
 

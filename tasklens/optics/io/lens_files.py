@@ -9,6 +9,7 @@ from typing import Any
 
 import torch
 from pydantic import ValidationError
+from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
@@ -16,7 +17,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop, rim
 from tasklens.optics.analysis.spots import chief_rays, has_light, trace_fields
 from tasklens.optics.io import consistency, prescription, zemax
-from tasklens.optics.io.fields import largest_tangent
+from tasklens.optics.io.fields import field_tangents
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
 from tasklens.optics.lens import Lens
@@ -42,6 +43,8 @@ class LensFile:
         view: fields, wavelengths, pixels and object distance.
         content: other content of a YAML file: spec, origin, figures, margins.
         remarks: assumptions and changes, as text.
+        fields: (F, 2) image points of the file's own fields [mm]; None if it has a specification, or if another field
+            of view is requested.
     """
 
     prescription: Prescription
@@ -49,6 +52,12 @@ class LensFile:
     view: View
     content: Mapping[str, Any]
     remarks: tuple[str, ...] = ()
+    fields: Tensor | None = None
+
+    @property
+    def own_view(self) -> View:
+        """The view at the fields of the file if it has its own, else at those of the sensor."""
+        return self.view if self.fields is None else replace(self.view, fields=self.fields)
 
 
 def read(
@@ -248,14 +257,16 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
     efl = abs(float(first_order.efl))
     if not first_order.is_positive:
         efl = efl if 0 < efl < math.inf else _AFOCAL
-        own = f"focal length {float(first_order.efl):.4g} mm: not positive, so the lens is only shown and traced"
-        remarks.append(f"{own}; its fields are {efl:.4g} mm tan(theta)")
+        reason = f"focal length {float(first_order.efl):.4g} mm: not positive, so the lens is only shown and traced"
+        remarks.append(f"{reason}; its fields are {efl:.4g} mm tan(theta)")
     source.lens.refractive_indices(wavelengths)
     view = replace(view_of_spec(Spec()), efl=efl, wavelengths_um=wavelengths, object_vergence=vergence)
+    own = None
     if "field_of_view_deg" not in changes:
-        tangent = largest_tangent(source, efl, float(first_order.entrance_pupil_z), reference)
-        view = replace(view, fields=view.fields * (efl * tangent / view.radii.max()))
-        if not tangent:
+        own = efl * field_tangents(source, efl, float(first_order.entrance_pupil_z), reference)
+        corner = own.norm(dim=1).max()
+        view = replace(view, fields=view.fields * (corner / view.radii.max()))
+        if not corner:
             view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
             remarks.append("the file has no field except the axis (--field-of-view)")
     lens, view = _changed(source.lens, view, changes)
@@ -263,7 +274,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
         pixels = f"{view.pixel_pitch_um} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
     lens, focus_remarks = _refocused(lens, view, source.object_distance_mm)
-    return LensFile(source, lens, view, {}, (*remarks, *focus_remarks))
+    return LensFile(source, lens, view, {}, (*remarks, *focus_remarks), own)
 
 
 def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, ...]:
