@@ -111,7 +111,7 @@ def one_at_a_time(
     """
     part = checkpoint.part("errors one at a time")
     state = part.state if part.result is None else part.result
-    changes: dict[int, float] = {} if state is None else state["found"]
+    changes: dict[int, float] = {} if state is None else state["changes"]
     peak = focus.peak(production.lens, production.view)
     progress = Progress("errors one at a time", len(indices))
     for step, k in enumerate(indices, 1):
@@ -122,8 +122,8 @@ def one_at_a_time(
         accuracies = [production.accuracy(production.build(s * direction, peak)[0], images)[0].mean() for s in (1, -1)]
         changes[k] = float(sum(accuracies)) / 2 - nominal
         progress(step)
-        part.save(step, found=changes)
-    part.finish(found=changes)
+        part.save(step, changes=changes)
+    part.finish(changes=changes)
     return changes
 
 

@@ -1,6 +1,7 @@
 """Launch points of bundles of many rays that fill the stop, from a polynomial through a few of them."""
 
 import math
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -16,6 +17,43 @@ _RINGS, _ARMS = 7, 20  # rays that the polynomial is fitted to
 _STEPS = 4  # largest number of steps with the derivative of the polynomial
 _TOLERANCE = 2e-15  # estimated error after such a step / track
 _BEST_RATIO = 0.1  # smallest plausible ratio of the errors after and before a step
+
+
+@dataclass(frozen=True)
+class _Bundles:
+    """Bundles of F fields in W colours, or of one field for each colour.
+
+    Attributes:
+        lens: a lens with its stop inside, in double precision as all tensors.
+        tangents: (F, 1, 2) direction tangents of the object points as seen from the first vertex, or (1, W, 2).
+        vergence: 1 / distance of the object from the first vertex [1/mm].
+        indices: (S + 1, W) refractive indices.
+        entrance_pupil: (2,) radius and position of the paraxial entrance pupil [mm].
+        chief: (W, 2) launch points of chief rays, from which rays are followed; None: from the axis.
+    """
+
+    lens: Lens
+    tangents: Tensor
+    vergence: float
+    indices: Tensor
+    entrance_pupil: Tensor
+    chief: Tensor | None = None
+
+    def aims(self, pupil: Tensor) -> Aim:
+        """List the rays (F, W, N) through N points of the unit disc."""
+        size = (len(self.tangents), self.indices.shape[1], len(pupil))
+        radius, z = self.entrance_pupil
+        paraxial = (pupil * radius - self.tangents[:, :, None] * z) / (1 + z * self.vergence)
+        return Aim(
+            self.lens,
+            self.indices[:, None, :, None].expand(-1, *size).flatten(1),
+            self.tangents[:, :, None].expand(*size, 2).reshape(-1, 2),
+            self.vergence,
+            (pupil * self.lens.semi_diameter[self.lens.stop]).expand(*size, 2).reshape(-1, 2),
+            paraxial.expand(*size, 2).reshape(-1, 2),
+            stop_is_curved(self.lens),
+            None if self.chief is None else self.chief.repeat_interleave(len(pupil), 0),
+        )
 
 
 def solve_bundles(
@@ -37,13 +75,13 @@ def solve_bundles(
     Returns:
         The launch points of F W N rays.
     """
-    solution = _solve(lens, tangents[:, None], vergence, pupil, indices, entrance_pupil)
+    solution = _solve(_Bundles(lens, tangents[:, None], vergence, indices, entrance_pupil), pupil)
     lost = (solution.status != RayStatus.OK).reshape(-1, len(pupil))
     if not bool(lost.any()):
         return solution
     bundle, colours = lost.any(1).nonzero()[:, 0], indices.shape[1]
-    tangents, indices = tangents[bundle // colours], indices[:, bundle % colours]
-    chief_aims = bundles(lens, tangents[None], vergence, torch.zeros_like(pupil[:1]), indices, entrance_pupil)
+    part = _Bundles(lens, tangents[None, bundle // colours], vergence, indices[:, bundle % colours], entrance_pupil)
+    chief_aims = part.aims(torch.zeros_like(pupil[:1]))
     chief = follow(chief_aims, chief_aims.paraxial)
     far = (chief.status != RayStatus.OK).nonzero()[:, 0]
     if len(far):
@@ -51,24 +89,16 @@ def solve_bundles(
         chief.point[far], chief.status[far] = searched.point, searched.status
     exists = chief.status == RayStatus.OK
     if bool(exists.any()):
-        bundle, chief_point = bundle[exists], chief.point[exists]
-        again = _solve(lens, tangents[None, exists], vergence, pupil, indices[:, exists], entrance_pupil, chief_point)
-        found = (again.status == RayStatus.OK) & lost[bundle].flatten()
-        ray = torch.arange(lost.numel()).reshape(lost.shape)[bundle].flatten()[found]
+        tangents, indices = part.tangents[:, exists], part.indices[:, exists]
+        again = _solve(replace(part, tangents=tangents, indices=indices, chief=chief.point[exists]), pupil)
+        aimed = (again.status == RayStatus.OK) & lost[bundle[exists]].flatten()
+        ray = torch.arange(lost.numel()).reshape(lost.shape)[bundle[exists]].flatten()[aimed]
         for name, values in vars(again).items():
-            getattr(solution, name)[ray] = values[found]
+            getattr(solution, name)[ray] = values[aimed]
     return solution
 
 
-def _solve(
-    lens: Lens,
-    tangents: Tensor,
-    vergence: float,
-    pupil: Tensor,
-    indices: Tensor,
-    entrance_pupil: Tensor,
-    chief: Tensor | None = None,
-) -> Solution:
+def _solve(bundles: _Bundles, pupil: Tensor) -> Solution:
     """Solve for the launch points of all rays by following them from the axis, or from chief rays.
 
     Bundles of few rays are solved ray by ray (`continuation`). For larger bundles a coarse set of rays is solved, and a
@@ -79,22 +109,19 @@ def _solve(
 
     The error after a step is estimated from its ratio to the previous error. Rays that are still too far off are solved
     ray by ray.
-
-    Args:
-        tangents: (F, 1, 2) of all fields in all colours, or (1, W, 2) of a field for each colour.
-        chief: (W, 2) launch points of the chief rays in the latter case.
     """
-    aims = bundles(lens, tangents, vergence, pupil, indices, entrance_pupil, chief)
+    aims = bundles.aims(pupil)
     coarse = _coarse_pupil()
     if len(pupil) <= 2 * len(coarse):
         return follow(aims, aims.start)
-    coarse_aims = bundles(lens, tangents, vergence, coarse, indices, entrance_pupil, chief)
+    lens, tangents, indices = bundles.lens, bundles.tangents, bundles.indices
+    coarse_aims = bundles.aims(coarse)
     size = (len(tangents), indices.shape[1], len(pupil))
     point, slope = _fit(follow(coarse_aims, coarse_aims.start), coarse, pupil, size)
     radius, track = lens.semi_diameter[lens.stop], lens.thickness.abs().sum()
     before = torch.zeros(size, dtype=torch.float64)
     for _ in range(_STEPS):
-        at = rays_at_stop(lens, rays_from_object(point, tangents[:, :, None], vergence), indices, aims.curved)
+        at = rays_at_stop(lens, rays_from_object(point, tangents[:, :, None], bundles.vergence), indices, aims.curved)
         error = torch.stack([at.x, at.y], -1) - pupil * radius
         r = error.norm(dim=-1)
         near = at.valid & (r * (r / before).clamp(_BEST_RATIO, 1) <= _TOLERANCE * track)
@@ -110,31 +137,6 @@ def _solve(
         solution = follow(aims.part(far), point[far])
         point[far], status[far], lost_at[far] = solution.point, solution.status, solution.lost_at
     return Solution(point, status, lost_at)
-
-
-def bundles(
-    lens: Lens,
-    tangents: Tensor,
-    vergence: float,
-    pupil: Tensor,
-    indices: Tensor,
-    entrance_pupil: Tensor,
-    chief: Tensor | None = None,
-) -> Aim:
-    """List the rays (F, W, N) of F fields and W wavelengths through N pupil points; arguments as for `_solve`."""
-    size = (len(tangents), indices.shape[1], len(pupil))
-    radius, z = entrance_pupil
-    paraxial = (pupil * radius - tangents[:, :, None] * z) / (1 + z * vergence)
-    return Aim(
-        lens,
-        indices[:, None, :, None].expand(-1, *size).flatten(1),
-        tangents[:, :, None].expand(*size, 2).reshape(-1, 2),
-        vergence,
-        (pupil * lens.semi_diameter[lens.stop]).expand(*size, 2).reshape(-1, 2),
-        paraxial.expand(*size, 2).reshape(-1, 2),
-        stop_is_curved(lens),
-        None if chief is None else chief.repeat_interleave(len(pupil), 0),
-    )
 
 
 def _fit(solution: Solution, coarse: Tensor, pupil: Tensor, size: tuple[int, int, int]) -> tuple[Tensor, Tensor]:

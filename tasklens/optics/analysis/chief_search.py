@@ -64,9 +64,9 @@ def search_chief_rays(aim: Aim) -> Solution:
     cosine = trace(root[:, None], ray)[1][:, 0]
 
     guess = along[ray] * (root * torch.sqrt(1 + length[ray].square()))[:, None]
-    found, converged = newton(aim.part(ray), guess)
+    solved, converged = newton(aim.part(ray), guess)
     for k in cosine.argsort().tolist():  # the least angle is the last
         if converged[k]:
-            solution.point[ray[k]] = found.point[k]
+            solution.point[ray[k]] = solved.point[k]
             solution.status[ray[k]], solution.lost_at[ray[k]] = int(RayStatus.OK), -1
     return solution
