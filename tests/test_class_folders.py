@@ -176,7 +176,31 @@ def test_links_are_followed(folder, tmp_path_factory):
     assert names == ["0.png", "0.png", "1.jfif", "3.png", "deep/1.JPEG", "deep/2.jpe"]
     assert others == {"links to folders that are read already": 4, "without a suffix": 1}
     assert class_folders.training_classes(folder) == ["cat", "dog", "owl"]
-    assert len(class_folders.contents(folder / "train/owl")[0]) == 6
+    assert len(class_folders.contents(folder / "train/owl")[0]) == 3  # those of the cat are not owls
+
+
+def test_links_to_other_classes_are_no_photographs_of_a_class(folder):
+    """And a link to a class is no class of its own."""
+    (folder / "train/cat/more").symlink_to("../dog")
+    files, others = class_folders.contents(folder / "train/cat")
+    assert len(files) == 2 and others == {"links to folders that are read already": 1}
+    (folder / "train/puppy").symlink_to("dog")
+    with pytest.raises(FileError, match="puppy is a link to the folder of the class dog; remove it"):
+        class_folders.training_classes(folder)
+
+
+@pytest.mark.parametrize("names", [("train_set", "test_set"), ("Train-images", "val2017"), ("trainset", "valset")])
+def test_splits_with_a_word_behind_are_splits(folder, names):
+    for split, name in zip(("train", "test"), names, strict=True):
+        (folder / split).rename(folder / name)
+    assert class_folders.is_split(folder)
+    assert (class_folders.train_folder(folder).name, class_folders.test_folder(folder).name) == names
+
+
+def test_a_third_split_is_not_passed_over_in_silence(folder, capsys):
+    write(folder / "val/cat/0.png", "")
+    folders.find(folder / "test", None, 0)
+    assert capsys.readouterr().err == f"tasklens: {folder}/test: passed over: 1 folders beside train and test\n"
 
 
 def test_what_is_passed_over_is_counted_by_kind(folder, capsys):

@@ -313,6 +313,14 @@ class Sharpness(nn.Module):
         return torch.stack([(bright != sharp).float(), (bright == sharp).float()], -1)
 
 
+def test_fields_along_an_axis_span_a_square_quadrant():
+    """With the same corner, so that a grading between them is uniform in area."""
+    points = VIEW.along_y(VIEW.radii).at(GRADING)
+    assert len({tuple(point) for point in points.fields.tolist()}) == len(GRADING)
+    corner = VIEW.along_y(VIEW.radii).at([(1.0, 1.0)])
+    assert float(corner.radii) == pytest.approx(float(VIEW.radii.max()))
+
+
 def test_ranking_names_a_lens_fitted_to_the_nine_fields():
     """Of a published study, designed for the nine: it is sharper there than between them. Another is sharp at all."""
     grains = 0.4 * torch.rand(12, 3, 48, 48, generator=torch.Generator().manual_seed(0))

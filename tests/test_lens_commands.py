@@ -111,6 +111,23 @@ def test_options_are_in_place_of_the_files_specification(capsys):
     assert narrow["fields"]["angle_deg"][-1] == pytest.approx(10, abs=1e-9)
 
 
+def test_another_object_distance_refocuses(capsys):
+    """To the peak of the MTF, with a remark; the image plane of the file on request."""
+    distances = {}
+    for focus in (None, "mtf", "file"):
+        words = ("--object-distance", "100", *(() if focus is None else ("--focus", focus)))
+        assert run("analyse", DOUBLET, *FEW, *words, "--json") == 0
+        output = capsys.readouterr()
+        assert "object at infinity in the file: refocused for 100 mm, by " in output.err
+        distances[focus] = json.loads(output.out)["image_distance_mm"]
+    own = json_of(capsys, "analyse", DOUBLET, *FEW)
+    assert distances[None] == pytest.approx(distances["mtf"], abs=1e-6)
+    assert distances["file"] == pytest.approx(own["image_distance_mm"], abs=1e-12)
+    far = json_of(capsys, "analyse", DOUBLET, *FEW, "--focus", "mtf")
+    # Newton: the image of a near object is f^2 / distance farther away; the peak of the MTF weights aberrations anew
+    assert distances["mtf"] - far["image_distance_mm"] == pytest.approx(own["efl_mm"] ** 2 / 100, rel=0.3)
+
+
 @pytest.mark.parametrize("file", [DOUBLET, PHONE], ids=lambda path: path.suffix)
 def test_a_shifted_image_plane(file, capsys):
     """Rays are straight behind the lens: foci stay where they are, and the squared RMS is a parabola of the shift.
@@ -323,7 +340,7 @@ MISTAKES = [
     (("show", DOUBLET, "--kernel-size", "50"), "kernel_size = 50: expected an odd number, so that the PSF has a"),
     (
         ("show", DOUBLET, "--focus", "nan"),
-        "--focus nan: expected a number of micrometres, such as -10, or best, or spot",
+        "--focus nan: expected a number of micrometres, such as -10, or file, mtf or spot",
     ),
     (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than or equal to 0.5"),
     (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),

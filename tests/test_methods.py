@@ -91,6 +91,15 @@ def test_from_flat_plates_a_design_has_the_schedule_of_the_studies(side, name):
             assert result.designs["task"] == own and list(result.designs) == ["log_image_error", "task"]
 
 
+def test_methods_without_a_schedule_from_flat_plates_refuse_them():
+    """Unless they get descents. Rendered textures have their schedule whatever the window."""
+    for method in ("joint", "contrast", "least_squares"):
+        with pytest.raises(InputError, match=f"method {method}: has no schedule from flat plates; choose task, "):
+            study(method, {"start": "flat"})
+    wide = single.study("correlation", ["COC"], {"kernel_size": 151}, {"start": "flat"}, {}, (), None, None)
+    assert wide.designs["correlation"].descents[0].size is None
+
+
 def test_a_study_may_name_a_method_as_its_design():
     """It is the design of `tasklens design`; a study that extends this one may change it."""
     named = parse(changed(tiny_study(), "designs.imaging1", "spot"))

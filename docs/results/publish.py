@@ -1,7 +1,8 @@
-"""Copy the tables of finished studies into this folder: `python docs/results/publish.py STUDY [STUDY ...] [--lenses]`.
+"""Copy tables of a finished study into this folder: `python docs/results/publish.py STUDY [--to FOLDER] [--lenses]`.
 
-The program reads results/STUDY in the current folder and replaces the tables, answers and figure of docs/results/STUDY.
-Each point of a sweep has a folder of its own. With `--lenses`, the lenses of the first seed come too.
+The program reads results/STUDY in the current folder and replaces the tables, answers and figure of docs/results/STUDY,
+or of another folder beside it. Each point of a sweep has a folder of its own. With `--lenses`, the lenses of the first
+seed come too.
 """
 
 import argparse
@@ -42,22 +43,22 @@ def publish_lenses(results: Path, destination: Path) -> None:
 
 
 def main() -> None:
-    """Publish the studies of the command line."""
+    """Publish the study of the command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("studies", nargs="+", metavar="STUDY")
+    parser.add_argument("study", metavar="STUDY")
+    parser.add_argument("--to", metavar="FOLDER")
     parser.add_argument("--lenses", action="store_true")
     options = parser.parse_args()
-    for study in options.studies:
-        results = Path("results") / study
-        if not results.is_dir():
-            parser.error(f"{results}: no such folder; run the study first")
-        points = [path.parent for path in results.glob("*=*/tables") if not path.parent.name.startswith("elements=")]
-        for folder in (results, *points):
-            publish(folder, FOLDER / folder.relative_to("results"))
-        for path in results.glob("answer.svg"):  # a sweep has none of its own
-            shutil.copyfile(path, FOLDER / study / path.name)
-        if options.lenses:
-            publish_lenses(results, FOLDER / study / "lenses")
+    results, published = Path("results") / options.study, FOLDER / (options.to or options.study)
+    if not results.is_dir():
+        parser.error(f"{results}: no such folder; run the study first")
+    points = [path.parent for path in results.glob("*=*/tables") if not path.parent.name.startswith("elements=")]
+    for folder in (results, *points):
+        publish(folder, published / folder.relative_to(results))
+    for path in results.glob("answer.svg"):  # a sweep has none of its own
+        shutil.copyfile(path, published / path.name)
+    if options.lenses:
+        publish_lenses(results, published / "lenses")
 
 
 if __name__ == "__main__":

@@ -32,8 +32,8 @@ Wavelengths = Annotated[
 Focus = Annotated[
     str | None,
     typer.Option(
-        help="Shift of the image plane away from the lens (um); best: to the peak of the MTF; spot: to the smallest "
-        "spot.",
+        help="Image plane: file, as in the file; mtf or best, at the peak of the MTF, the default with another object "
+        "distance; spot, at the smallest spot; or its shift away from the lens (um).",
         rich_help_panel=_PANEL,
     ),
 ]
@@ -89,12 +89,14 @@ def reader(
 
 
 def _focused(file: "LensFile", focus: str, path: Path) -> "LensFile":
-    """Return a lens with its image plane moved by a number of micrometres, or to the best focus; raises InputError."""
+    """Return a lens with its image plane as in the file, at the best focus, or shifted; raises InputError."""
     from tasklens.optics.analysis.focus import refocused, shifted
     from tasklens.optics.analysis.paraxial import check_focal_length
     from tasklens.optics.io import lens_files
 
-    if focus in ("best", "spot"):
+    if focus == "file":
+        lens = shifted(file.lens, float(file.prescription.lens.thickness[-1] - file.lens.thickness[-1]))
+    elif focus in ("mtf", "best", "spot"):
         check_focal_length(file.lens, file.view.reference_um, f"--focus {focus} needs")
         lens = refocused(file.lens, file.view, "spot" if focus == "spot" else "mtf")
         by = "the mean RMS spot" if focus == "spot" else "the MTF"
@@ -110,7 +112,7 @@ def _micrometres(focus: str) -> float:
             return shift
     except ValueError:
         pass
-    raise InputError(f"--focus {focus}: expected a number of micrometres, such as -10, or best, or spot")
+    raise InputError(f"--focus {focus}: expected a number of micrometres, such as -10, or file, mtf or spot")
 
 
 def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:

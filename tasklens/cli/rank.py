@@ -120,9 +120,10 @@ def rank(
     tolerances = {} if grade is None else {"grade": grade}
 
     def study(screened: screening.Screened, built: Sequence[str] = ()) -> dict:
-        focused = any(entry["focus"] == "network" for entry in screened.entries.values())
+        kept = screened.by_mtf[:sieve]
+        focused = any(screened.entries[lens]["focus"] == "network" for lens in kept)
         section = ranking.image_settings(images, side, max_images, fine_tune > 0, focused)
-        return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, sieve, tolerances, built)
+        return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, kept, tolerances, built)
 
     unread = loading.parse(study(screening.unread()))  # errors come before the lenses are read
     say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))

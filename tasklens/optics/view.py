@@ -93,9 +93,15 @@ class View:
         return replace(self, fields=torch.stack([torch.zeros_like(radii), radii], -1))
 
     def at(self, points: Sequence[tuple[float, float]] | Tensor) -> "View":
-        """Return the view at points (F, 2) of its quadrant, fractions of its largest |x| and |y|."""
+        """Return the view at points (F, 2) of its quadrant, fractions of its largest |x| and |y|.
+
+        The quadrant of fields along an axis is a square with the same corner.
+        """
         fractions = torch.as_tensor(points, dtype=self.fields.dtype)
-        return replace(self, fields=fractions * self.fields.abs().amax(0))
+        extent = self.fields.abs().amax(0)
+        if not extent.all():
+            extent = (self.radii.max() / math.sqrt(2)).expand(2)
+        return replace(self, fields=fractions * extent)
 
     def at_all_radii(self) -> "View":
         """Return the view along +y, so dense from the axis to the corner that limits and apertures hold in between."""

@@ -30,17 +30,15 @@ def study(
     classifier: Mapping[str, Any],
     capture: Mapping[str, Any],
     epochs: float,
-    keep: int | None,
+    lenses: Sequence[str],
     tolerances: Mapping[str, Any],
     built: Sequence[str] = (),
 ) -> dict[str, Any]:
-    """Return the study that measures lenses; `keep` limits it to the lenses with the highest MTF.
+    """Return the study that measures `lenses`, some of those that passed the screening.
 
     Raises:
         InputError: no lens can be measured.
     """
-    order = sorted(screened.entries, key=lambda lens: -screened.mtf[lens])
-    lenses = order if keep is None else order[:keep]
     if not lenses:
         reasons = "; ".join(f"{title}: {why}" for title, why in screened.left_out.items())
         raise InputError(f"none of the lenses can be measured: {reasons}")
@@ -63,7 +61,7 @@ def study(
         "ranking": {
             "titles": {f"{ELEMENTS}-{lens}": screened.titles[lens] for lens in lenses},
             "left_out": screened.left_out,
-            "mtf": {f"{ELEMENTS}-{lens}": screened.mtf[lens] for lens in order},
+            "mtf": {f"{ELEMENTS}-{lens}": screened.mtf[lens] for lens in screened.by_mtf},
             "built": list(built),
         },
     }
@@ -112,7 +110,7 @@ def photographs(images: Mapping[str, Any]) -> str:
 
 
 def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
-    """Describe how well a network recognises some of the sharp photographs.
+    """Describe how well a network recognises some of the sharp photographs, or that they are too few to tell.
 
     Raises:
         InputError: the network cannot be built or read, or recognises nothing.
@@ -123,7 +121,10 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
     classifiers.check("network", settings, images.size, len(class_folders.training_classes(images.folder)))
     photographs = user_images.test_images(images.folder, images.size, _SHOWN)
     network = classifiers.build(settings, photographs.classes)
-    return sharp.check_accuracy(classifiers.frozen(network, photographs.images), photographs)
+    try:
+        return sharp.check_accuracy(classifiers.frozen(network, photographs.images), photographs)
+    except sharp.TooFewImages as error:
+        return str(error)
 
 
 def run(content: Mapping[str, Any], targets: Sequence[str], cores: int, overwrite: bool) -> Path:

@@ -52,6 +52,11 @@ class Screened:
     mtf: dict[str, float] = field(default_factory=dict)
     left_out: dict[str, str] = field(default_factory=dict)
 
+    @property
+    def by_mtf(self) -> list[str]:
+        """The lenses from the highest mean MTF to the lowest."""
+        return sorted(self.entries, key=lambda lens: -self.mtf[lens])
+
 
 def lens_paths(places: Sequence[Path]) -> list[Path]:
     """Return lens files, also from inside folders; raises FileError if a path does not exist."""

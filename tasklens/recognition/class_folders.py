@@ -5,6 +5,7 @@ The classes are in the folder itself, or in two splits, `train` and `test`. Link
 """
 
 import os
+import re
 import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -18,6 +19,7 @@ SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".webp")
 OTHERS = (".tif", ".tiff", ".bmp", ".gif", ".heic", ".jp2", ".avif", ".dng")  # image formats that are not supported
 _TRAIN = ("train", "training")  # names of each split in any case, the preferred one first
 _TEST = ("test", "testing", "val", "valid", "validation")
+_ENDING = re.compile(r"[-_ .]?(set|images|imgs|data|split|\d+)$")  # as in test_set or val2017
 
 
 def is_split(folder: Path) -> bool:
@@ -34,7 +36,7 @@ def is_split(folder: Path) -> bool:
         return True
     only = train or test
     return only is not None and (
-        all(name.casefold() in (*_TRAIN, *_TEST) for name in names) or bool(_subfolders(folder / only))
+        all(_ENDING.sub("", name.casefold()) in (*_TRAIN, *_TEST) for name in names) or bool(_subfolders(folder / only))
     )
 
 
@@ -70,9 +72,12 @@ def _is_folder(entry: "os.DirEntry[str]") -> bool:
 
 
 def _spelled(folder: Path, names: Sequence[str], spellings: Sequence[str]) -> str | None:
-    """Return the name of a split in any case, by the first of its spellings that occurs; raises FileError for two."""
+    """Return the name of a split in any case, by the first of its spellings that occurs; raises FileError for two.
+
+    A word or number may follow it, as in test_set or val2017.
+    """
     for spelling in spellings:
-        same = sorted(name for name in names if name.casefold() == spelling)
+        same = sorted(name for name in names if _ENDING.sub("", name.casefold()) == spelling)
         if len(same) > 1:
             raise FileError(f"{folder}: {' and '.join(same)} have the name of one split; merge them, or rename one")
         if same:
@@ -98,6 +103,9 @@ def classes(split: Path, least: int = 2) -> list[str]:
     if len(inside) < least:
         advice = f"; if its folders are the classes, give {split / inside[0]}" * bool(_subfolders(split / inside[0]))
         raise FileError(f"{split}: expected two classes or more, a folder each, found only {inside[0]}{advice}")
+    for name in (name for name in sorted(inside) if (split / name).is_symlink()):
+        if same := next((other for other in inside if other != name and (split / other).samefile(split / name)), None):
+            raise FileError(f"{split}: {name} is a link to the folder of the class {same}; remove it")
     if len(inside) > len({composed(name) for name in inside}):
         duplicate = next(name for name in inside if sum(composed(name) == composed(other) for other in inside) > 1)
         raise FileError(f"{split}: two folders are called {duplicate}, with letters composed in two ways; merge them")
@@ -145,11 +153,21 @@ def contents(folder: Path) -> tuple[list[Path], Counter[str]]:
 
 
 def beside_classes(split: Path) -> Counter[str]:
-    """Return the number of files beside the class folders of a split, by kind."""
+    """Return the number of files beside the class folders of a split, by kind, and of folders beside the split."""
     files = [path for path in split.iterdir() if not path.name.startswith(".") and not path.is_dir()]
-    return Counter(
+    kinds = Counter(
         "photographs in no class folder" if path.suffix.lower() in SUFFIXES else _kind(path.name) for path in files
     )
+    if is_split(folder := split.parent) and split in (splits := _splits(folder)):
+        kinds["folders beside train and test"] += len(_subfolders(folder)) - len(splits)
+    return +kinds
+
+
+def _splits(folder: Path) -> list[Path]:
+    """Return the folders of the splits that there are."""
+    names = _subfolders(folder)
+    spelled = (_spelled(folder, names, spellings) for spellings in (_TRAIN, _TEST))
+    return [folder / name for name in spelled if name is not None]
 
 
 def passed_over(folder: Path, others: Counter[str]) -> str:
@@ -165,12 +183,13 @@ def _kind(name: str) -> str:
 def _entries(folder: Path) -> Iterator[tuple[Path, str]]:
     """Yield all files of a class, each with its kind, which is empty for a photograph; raises as `photographs`."""
     class_folder, split = folder.resolve(), folder.parent.resolve()
-    seen = {*class_folder.parents, split, *split.parents}  # a link there leads to other classes, or in a circle
+    seen = {*class_folder.parents, split, *split.parents}  # a link there leads in a circle
     waiting = [folder]
     while waiting:
         here = waiting.pop()
-        if (real := here.resolve()) in seen:
-            yield here, "links to folders that are read already"
+        real = here.resolve()
+        if real in seen or (split in real.parents and class_folder not in (real, *real.parents)):
+            yield here, "links to folders that are read already"  # or of other classes
             continue
         seen.add(real)
         with os.scandir(here) as entries:

@@ -182,14 +182,22 @@ def _baseline_text(baselines: Iterable[str]) -> str:
 
 
 def fitted_lenses(claims: Claims, measurements: Measurements) -> list[str]:
-    """Return a paragraph for each lens that is more accurate at the fields of its design than between them."""
-    between, at_fields = {}, {}
+    """Return a paragraph for each lens that is more accurate at the fields of its design than between them.
+
+    For a lens whose design has none, or is unknown, they are the nine of the paper, if it is graded there.
+    """
+    paragraphs = []
     for key in claims.measured_keys:
+        name = f"{key.lens}, {key.measured_name}, seed {key.seed}"
         if "accuracy_at_design_fields" in measurements.values(*key):
-            name = f"{key.lens}, {key.measured_name}, seed {key.seed}"
-            fields = "design" if measurements.has("design", [key]) else "nine"
-            between[name], at_fields[name] = measurements.correct(*key), measurements.correct(*key, fields)
-    return [f"\n{words}" for words in between_fields.warnings(between, at_fields, "the fields of its design")]
+            words, fields = "the fields of its design", "design" if measurements.has("design", [key]) else "nine"
+        elif measurements.has("nine", [key]):
+            words, fields = "the paper's nine fields", "nine"
+        else:
+            continue
+        between, at_fields = measurements.correct(*key), measurements.correct(*key, fields)
+        paragraphs += [f"\n{line}" for line in between_fields.warnings({name: between}, {name: at_fields}, words)]
+    return paragraphs
 
 
 def seeds_phrase(claims: Claims) -> str:

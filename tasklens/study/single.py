@@ -59,9 +59,15 @@ def study(
     side = max(_SIDE, kernel_size + 1 if isinstance(kernel_size, int) else 0)
     images_of_study = images or {"size": side, "train": 500, "minival": 10, "test": 10}
     base = methods()[method]
-    if settings.get("start") == "flat" and not alone and method in _FROM_FLAT:
-        schedule = from_flat(images_of_study["size"])
-        base = schedule if method == "task" else _with_criterion(method, schedule)
+    if settings.get("start") == "flat" and not alone and method != "spot":  # which always starts from plates
+        if method in _FROM_FLAT:
+            schedule = from_flat(_SIDE if images is None else images["size"])
+            base = schedule if method == "task" else _with_criterion(method, schedule)
+        elif "descents" not in settings:
+            raise InputError(
+                f"method {method}: has no schedule from flat plates; choose {', '.join(_FROM_FLAT)}, or improve their "
+                "lens: --start FILE"
+            )
     design = merged_settings(base, settings)
     designs = {method: design | {"start": "flat"}} if alone else _with_starts(method, design)
     content = {

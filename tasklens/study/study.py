@@ -162,8 +162,12 @@ class Study(Frozen):
         return self.lens(lens).capture or self.capture
 
     def design_points(self, lens: str) -> Points | None:
-        """Return the fields of the losses of a design, unless an ablation changes them; None if they are drawn."""
-        return points(self.lens(lens).fields or self.fields.design)
+        """Return the fields of the losses of a design, unless an ablation changes them.
+
+        None: they are drawn, or the lens has no descents.
+        """
+        entry = self.lens(lens)
+        return points(entry.fields or self.fields.design) if entry.descents else None
 
     @property
     def lenses(self) -> dict[str, LensEntry]:

@@ -137,7 +137,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         network=None if entry.other_task is None else study.task_network(entry.other_task),
         starts=starts(study, lens),
         candidates=candidates(study, lens),
-        fields=study.design_points(lens) if entry.descents else None,
+        fields=study.design_points(lens),
         averaged=PAPER if study.fields.grading == "paper" else GRADING,
         rays=study.evaluation_rays,
         seed=(seed + _SEEDS * study.images.seed) % 2**31,

@@ -38,8 +38,8 @@ class LensFile:
 
     Attributes:
         prescription: as in the file.
-        lens: the lens at the requested F-number, focused as in the file; refocused if the file has a near object and
-            another distance is requested.
+        lens: the lens at the requested F-number, focused as in the file; at the peak of its MTF if another object
+            distance is requested.
         view: fields, wavelengths, pixels and object distance.
         content: other content of a YAML file: spec, origin, figures, margins.
         remarks: assumptions and changes, as text.
@@ -171,13 +171,14 @@ def _specified(
 
 
 def _refocused(lens: Lens, view: View, distance: float) -> tuple[Lens, list[str]]:
-    """Refocus a lens for the object of the view if its file has another, near one, at `distance` [mm]; say so."""
-    if math.isinf(distance) or view.object_vergence == 1 / distance:
+    """Refocus a lens for the object of the view if its file has one at another `distance` [mm]; say so."""
+    if view.object_vergence == 1 / distance:
         return lens, []
     focused = refocused(lens, view)
     shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
     requested = f"{1 / view.object_vergence:g} mm" if view.object_vergence else "infinity"
-    return focused, [f"object at {distance:g} mm in the file: refocused for {requested}, by {shift:.1f} um"]
+    own = "infinity" if math.isinf(distance) else f"{distance:g} mm"
+    return focused, [f"object at {own} in the file: refocused for {requested}, by {shift:.1f} um"]
 
 
 def read_prescription(
