@@ -415,6 +415,13 @@ def test_a_notebook_shows_a_lens(doublet):
     assert tasklens.__version__ == importlib.metadata.version("tasklens")
 
 
+def test_a_typed_image_distance_is_kept():
+    """Also for a near object, which the prescription is for."""
+    surfaces = [{"radius": 10.0, "thickness": 2.0, "material": "PMMA", "stop": True}, {"radius": -10.0, "thickness": 9}]
+    lens, view = tasklens.lens(surfaces, field_of_view_deg=4, f_number=8, object_distance_mm=60)
+    assert float(lens.thickness[-1]) == 9 and view.object_distance == pytest.approx(60)
+
+
 def test_a_design_in_a_notebook():
     short = {"descents": {"0": {"steps": 3}}}
     lens, view, notes = tasklens.design_lens("spot", ["COC"], settings=short, kernel_size=11, field_of_view_deg=40)

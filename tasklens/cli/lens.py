@@ -14,7 +14,6 @@ from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
-    from tasklens.optics.io.lens_files import LensFile
     from tasklens.optics.view import View
 
 app = typer.Typer(no_args_is_help=True)
@@ -48,7 +47,9 @@ def show(
 
     lenses = {str(path): read(path) for path in files}
     summaries = {
-        name: glance.summary(item.lens, item.content, figures(item.lens, _view(item, sensor_fields), rays))
+        name: glance.summary(
+            item.lens, item.content, figures(item.lens, item.view if sensor_fields else item.own_view, rays)
+        )
         for name, item in lenses.items()
     }
     if json:
@@ -80,7 +81,7 @@ def analyse(
     from tasklens.report import certificate
 
     lens = read(file)
-    view = _view(lens, sensor_fields)
+    view = lens.view if sensor_fields else lens.own_view
     content = {**lens.content, "figures": figures(lens.lens, view, rays)}
     by_surface = seidel_by_surface(lens.lens, view)
     if json:
@@ -271,11 +272,6 @@ def export(
     lens_files.write(output, lens_data, content)
     say(f"wrote {output}")
     say_catalogue(output, media)
-
-
-def _view(lens_file: "LensFile", sensor_fields: bool) -> "View":
-    """Return the view of a lens at the fields of its file, if it has its own, or at those of the sensor."""
-    return lens_file.view if sensor_fields else lens_file.own_view
 
 
 def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:

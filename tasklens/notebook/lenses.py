@@ -19,6 +19,7 @@ from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
 from tasklens.optics.io import lens_files
+from tasklens.optics.io.light import light_remarks
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.io.typed import typed
 from tasklens.optics.io.zemax_glasses import NamedGlasses
@@ -134,12 +135,13 @@ def lens(
         raise InputError("wavelengths_um: expected at least one wavelength [um]")
     library = Library([*as_paths(catalogues, "catalogues"), *user_files()])
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
+    prescription = replace(prescription, object_distance_mm=float(object_distance_mm))
     changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
     file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" not in surfaces[-1]:
         check_focal_length(file.lens, file.view.reference_um, "the last thickness is missing, and a focus needs")
         file = replace(file, lens=refocused(file.lens, file.view))
-    for remark in lens_files.light_remarks(file):
+    for remark in light_remarks(file.lens, file.view):
         warnings.warn(remark, stacklevel=2)
     return file.lens, file.view
 

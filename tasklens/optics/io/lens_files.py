@@ -14,21 +14,19 @@ from torch import Tensor
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import check_stop, rim
-from tasklens.optics.analysis.spots import chief_rays, has_light, trace_fields
+from tasklens.optics.analysis.pupil import check_stop
 from tasklens.optics.io import consistency, prescription, zemax
 from tasklens.optics.io.fields import field_tangents
+from tasklens.optics.io.light import light_remarks
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, positive
 from tasklens.study.messages import problems
 from tasklens.study.settings import Spec
 
-_RIM = 64  # marginal rays on the axis
 _AFOCAL = 100.0  # mm; focal length of the pinhole camera whose image points are the fields of an afocal lens
 
 
@@ -116,7 +114,9 @@ def read(
         else:
             check_stop(source.lens)
             lens_file = derived(source, changes, wavelengths, 1 / distance)
-        return replace(lens_file, remarks=(*source.remarks, *lens_file.remarks, *light_remarks(lens_file)))
+        return replace(
+            lens_file, remarks=(*source.remarks, *lens_file.remarks, *light_remarks(lens_file.lens, lens_file.view))
+        )
     except FileError:
         raise
     except InputError as error:
@@ -283,27 +283,3 @@ def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, 
     others = sorted((w for i, w in enumerate(wavelengths) if i != primary), reverse=True)
     middle = len(wavelengths) // 2
     return (*others[:middle], wavelengths[primary], *others[middle:])
-
-
-def light_remarks(lens_file: LensFile) -> list[str]:
-    """Return remarks on marginal rays lost on the axis, and on fields of which the chief ray or no light arrives."""
-    view = lens_file.view.in_reference()
-    chief = chief_rays(lens_file.lens, view)
-    light = has_light(lens_file.lens, view)
-    remarks = []
-    on_axis = replace(view, fields=torch.zeros_like(view.fields[:1]))
-    beam = trace_fields(lens_file.lens, on_axis, rim(_RIM))
-    if light.all() and not beam.valid.all():
-        where = describe_loss(beam, ~beam.valid)
-        remarks.append(f"marginal rays on the axis are lost {where}: the F-number is that of the stop alone")
-    for arrives, effect in (
-        (light, "no light arrives"),
-        (chief.valid[:, 0, 0] | ~light, "the chief ray does not arrive"),
-    ):
-        if not arrives.all():
-            angle = math.degrees(math.atan(float(view.radii[~arrives].min()) / view.efl))
-            count = f"{int((~arrives).sum())} of {len(light)} fields, from {angle:.1f} degrees on"
-            lost = ~chief.valid & ~arrives[:, None, None]
-            reason = f": it is lost {describe_loss(chief, lost)}" if lost.any() else ""
-            remarks.append(f"{effect} at {count}{reason}")
-    return remarks
