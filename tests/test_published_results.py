@@ -214,7 +214,7 @@ def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     contents |= {f"lenses/doublet-a/seed{seed}/{name}": str(seed) for seed in (1, 0) for name in ("lens.yaml", "a.zmx")}
     contents |= {
         "gain=2/tables/table1.csv": "point",
-        "elements=doublet/tables/table1.csv": "",
+        "elements=doublet/tables/table1.csv": "of doublets",
         "lenses/a_variant/seed1/lens.yaml": "",
         "study.yaml": "seeds: [1, 0]",
         "report.html": "",
@@ -240,6 +240,9 @@ def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["publish.py", "unknown"])
     with pytest.raises(SystemExit):
         publish.main()
+    monkeypatch.setattr("sys.argv", ["publish.py", "known", "--to", "other", "--elements", "doublet"])
+    publish.main()
+    assert (tmp_path / "published/other/table1.csv").read_text() == "of doublets"
 
 
 PUBLISHED = {

@@ -444,6 +444,16 @@ def test_a_fifth_of_a_folder_is_tested_if_the_network_is_trained(tmp_path):
     ):
         images = pipeline.image_settings(tmp_path, 32, most, trained, focused)
         assert images["test"] == test and pipeline.photographs(images) == f"{test} of 60 photographs{others}"
+    for split, count in (("train", 16), ("test", 4)):
+        for k in range(count):
+            (tmp_path / "split" / split / f"class{k % 2}").mkdir(parents=True, exist_ok=True)
+            (tmp_path / "split" / split / f"class{k % 2}" / f"{k}.png").touch()
+    images = pipeline.image_settings(tmp_path / "split", 32, 500, False, True)
+    assert pipeline.photographs(images) == "4 photographs; 14 of the training photographs set the focus"
+    for k in range(6):
+        (tmp_path / "split/train/class0" / f"{2 * k}.png").unlink()
+    with pytest.raises(FileError, match="has 8 photographs by which the network can set the focus; expected 10 or"):
+        pipeline.image_settings(tmp_path / "split", 32, 500, False, True)
     with pytest.raises(FileError, match="too few photographs for a ranking"):
         (tmp_path / "few" / "a").mkdir(parents=True)
         pipeline.image_settings(tmp_path / "few", 32, 500, True, False)

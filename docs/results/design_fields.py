@@ -24,7 +24,7 @@ SETS = {"between": GRADING, "nine": PAPER}
 def rows(name: str) -> pandas.DataFrame:
     """Return the accuracy [%] of the lenses of an ablation at each field, by its radius in units of the corner's."""
     aspect = loading.load(FOLDER.parents[1] / "config/headline.yaml").spec.aspect
-    _, packed = answers_file.read(FOLDER / "headline" / f"ablation_{name}.npz")
+    _, packed = answers_file.read(FOLDER / "whole_sensor" / f"ablation_{name}.npz")
     table = []
     for lens in dict.fromkeys(lens for lens, _, _ in packed.answers if lens.startswith("doublet-")):
         keys = [key for key in packed.answers if key.lens == lens]

@@ -1,12 +1,13 @@
-"""Copy tables of a finished study into this folder: `python docs/results/publish.py STUDY [--to FOLDER] [--lenses]`.
+"""Copy the tables of a finished study into this folder: `python docs/results/publish.py STUDY`.
 
 The program reads results/STUDY in the current folder and replaces the tables, answers and figure of docs/results/STUDY,
-or of another folder beside it. Each point of a sweep has a folder of its own. With `--lenses`, the lenses of the first
-seed come too.
+or with `--to FOLDER` of another folder beside it. Each point of a sweep has a folder of its own. With `--elements NAME`
+the tables of lenses with these elements come too, and with `--lenses` the lenses of the first seed.
 """
 
 import argparse
 import shutil
+from collections.abc import Sequence
 from pathlib import Path
 
 import yaml
@@ -16,16 +17,17 @@ TABLES = ("*.csv", "*.md", "*.npz")
 OMITTED = ("answers.csv", "encircled_energy.csv", "psf_tail.fields.csv")  # of the page; verdicts.npz has all answers
 
 
-def publish(results: Path, destination: Path) -> None:
-    """Copy the tables and answers of a study, or of a point of a sweep."""
+def publish(folders: Sequence[Path], destination: Path) -> None:
+    """Copy the tables, answers and figure of a study, or of a point of a sweep, from the folders of its results."""
     destination.mkdir(parents=True, exist_ok=True)
     for old in (path for pattern in TABLES for path in destination.glob(pattern)):
         if old.name != "README.md":
             old.unlink()
-    sources = [path for pattern in TABLES for path in (results / "tables").glob(pattern)]
-    for path in (*sources, *results.glob("effort.*"), *results.glob("sweep.*")):
-        if path.name not in OMITTED:
-            shutil.copyfile(path, destination / path.name)
+    for folder in folders:
+        sources = [path for pattern in TABLES for path in (folder / "tables").glob(pattern)]
+        for path in (*sources, *folder.glob("effort.*"), *folder.glob("sweep.*"), *folder.glob("answer.svg")):
+            if path.name not in OMITTED:
+                shutil.copyfile(path, destination / path.name)
 
 
 def publish_lenses(results: Path, destination: Path) -> None:
@@ -47,16 +49,16 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("study", metavar="STUDY")
     parser.add_argument("--to", metavar="FOLDER")
+    parser.add_argument("--elements", metavar="NAME")
     parser.add_argument("--lenses", action="store_true")
     options = parser.parse_args()
     results, published = Path("results") / options.study, FOLDER / (options.to or options.study)
     if not results.is_dir():
         parser.error(f"{results}: no such folder; run the study first")
-    points = [path.parent for path in results.glob("*=*/tables") if not path.parent.name.startswith("elements=")]
-    for folder in (results, *points):
-        publish(folder, published / folder.relative_to(results))
-    for path in results.glob("answer.svg"):  # a sweep has none of its own
-        shutil.copyfile(path, published / path.name)
+    publish([results, *results.glob(f"elements={options.elements}")], published)
+    for path in (path.parent for path in results.glob("*=*/tables")):  # the points of a sweep
+        if not path.name.startswith("elements="):
+            publish([path], published / path.name)
     if options.lenses:
         publish_lenses(results, published / "lenses")
 

@@ -18,7 +18,7 @@ from tasklens.study.settings import ClassifierSettings, ImageSettings
 
 _SHOWN = 200  # sharp photographs for the check of a network
 _MINIVAL = 2  # photographs that a study needs in addition to the ranking's
-_FOCUS = 24  # photographs by which a network sets the focus
+_FOCUS, _LEAST_FOCUS = 24, 10  # photographs by which a network sets the focus, and the least number of them
 _TESTED = 5  # one photograph in so many is tested if the network is trained on the others of the same folder
 
 
@@ -74,7 +74,7 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool, foc
     if the network sets the focus of lenses (`focused`).
 
     Raises:
-        FileError: the folder has no photographs by class, or too few.
+        FileError: the folder has no photographs by class, too few, or too few to set the focus.
     """
     if not folder.is_dir():
         raise FileError(f"--images {folder}: no such folder")
@@ -88,6 +88,11 @@ def image_settings(folder: Path, size: int, photographs: int, trained: bool, foc
     else:
         others = _MINIVAL + train
         test, least = class_folders.count(folder, photographs + others) - others, others + 1
+    if focused and train < _LEAST_FOCUS:
+        raise FileError(
+            f"--images {folder}: has {train} photographs by which the network can set the focus; expected "
+            f"{_LEAST_FOCUS} or more for training, or --focus mtf"
+        )
     if test < 1:
         raise FileError(f"--images {folder}: too few photographs for a ranking; expected {least} or more")
     return images | {"test": test} | ({} if trained else {"train": train})
@@ -97,11 +102,11 @@ def photographs(images: Mapping[str, Any]) -> str:
     """Say how many photographs are ranked, of how many, and what the others are for."""
     folder, tested, train = Path(images["folder"]), images["test"], images.get("train")
     total = class_folders.count(class_folders.test_folder(folder), sys.maxsize)
-    if tested == total:
-        return f"{tested} photographs"
-    words = f"{tested} of {total} photographs"
+    words = f"{tested} photographs" if tested == total else f"{tested} of {total} photographs"
     if class_folders.is_split(folder):
-        return f"{words} (--max-images)"
+        limit = "" if tested == total else " (--max-images)"
+        focus = f"; {train} of the training photographs set the focus" if train is not None and train > 1 else ""
+        return f"{words}{limit}{focus}"
     if train is None:
         return f"{words}; the network is trained on others"
     most = " (--max-images)" if tested + train + _MINIVAL < total else ""
