@@ -14,5 +14,9 @@ def cell_centres(columns: int, rows: int) -> Points:
 PAPER: Points = tuple((u, v) for v in (0, 0.5, 1) for u in (0, 0.5, 1))  # of Yang et al. 2024
 CELLS = 3  # columns and rows of cells in which the fields of a step are drawn
 SELECTION = cell_centres(CELLS, CELLS)  # validate designs, and choose among lenses
-GRADING = cell_centres(4, 4)  # none of these is in SELECTION or PAPER
+GRADING = cell_centres(4, 4)  # of the cells of a grading
+_SHIFT = 1 / 16  # from the centre of such a cell to that of its quarter
+QUARTERS: tuple[Points, ...] = tuple(  # of the cells, which images take in turns; none is in SELECTION or PAPER
+    tuple((u + du, v + dv) for u, v in GRADING) for dv in (-_SHIFT, _SHIFT) for du in (-_SHIFT, _SHIFT)
+)
 CORNER: Points = ((1.0, 1.0),)

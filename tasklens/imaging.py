@@ -85,26 +85,30 @@ class PsfCamera:
 
     @torch.compiler.disable
     @explained
-    def all_fields(self, images: Tensor, generator: torch.Generator | None = None) -> Tensor:
+    def all_fields(
+        self, images: Tensor, generator: torch.Generator | None = None, fields: Sequence[int] | None = None
+    ) -> Tensor:
         """Render every image at every field: images (B, 3, H, W) in [0, 1] to (F, B, 3, H, W).
 
         Args:
             generator: draws the noise, image by image; None: torch's default generator.
+            fields: indices of the fields; None: all.
 
         Raises:
             InputError: images of another shape or type.
         """
         check_images(images)
+        fields = range(len(self.psf)) if fields is None else fields
         captures = []
         for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
             pairs = torch.cat([block, block[: len(block) % 2]]).unflatten(0, (-1, 2))
-            runs = [Run(field, 0, len(pairs)) for field in range(len(self.psf))]
+            runs = [Run(field, 0, len(pairs)) for field in fields]
             output = self._render(pairs, runs).unflatten(0, (len(runs), -1))
             captures.append(output.flatten(1, 2)[:, : len(block)])
         output = captures[0] if len(captures) == 1 else torch.cat(captures, 1)
         if self.sensor is None:
             return self._developed(output)
-        illumination = self.illumination[:, None].expand(output.shape[:2])
+        illumination = self.illumination[list(fields), None].expand(output.shape[:2])
         sample = noise(output.transpose(0, 1).shape, generator or torch.default_generator).transpose(0, 1)
         return self._developed(output, illumination, sample)
 

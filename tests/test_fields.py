@@ -21,7 +21,7 @@ from tasklens.design.merit import limit_semi_diameters
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.supervision import Supervisor
-from tasklens.fields import CELLS, CORNER, GRADING, PAPER, SELECTION, Points
+from tasklens.fields import CELLS, CORNER, GRADING, PAPER, QUARTERS, SELECTION, Points
 from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters, evaluation_psf
@@ -39,6 +39,7 @@ from tasklens.study.settings import SensorSettings, Spec
 from tasklens.study.study import Study, StudyError
 from tasklens.study.tables import lens_design
 
+GRADED = sum(QUARTERS, ())
 HEADLINE = Path(__file__).parents[1] / "docs/results/headline/lenses"
 OWN: Points = ((0.0, 0.0), (0.6, 0.2), (0.3, 0.7), (1.0, 1.0), (0.9, 0.4))
 LIST = [list(point) for point in OWN]  # as a study file has them
@@ -73,7 +74,7 @@ def test_draws_are_uniform_in_area():
     assert chi2.ppf(0.001, 135) < statistic < chi2.ppf(0.999, 135)
 
 
-@pytest.mark.parametrize("fields, cells", [(SELECTION, 3), (GRADING, 4)])
+@pytest.mark.parametrize("fields, cells", [(SELECTION, 3), (GRADING, 4), (GRADED, 8)])
 def test_fixed_sets_are_uniform_in_area(fields, cells):
     """Moments of cell centres: 1/2, 1/3 less the variance of a cell, 1/4. The paper's nine are farther out."""
     u, v = f64(fields).T
@@ -85,7 +86,7 @@ def test_fixed_sets_are_uniform_in_area(fields, cells):
     assert float((f64(PAPER)[:, 0] ** 2).mean()) == pytest.approx(5 / 12)
 
 
-@pytest.mark.parametrize("fields", [PAPER, SELECTION, GRADING])
+@pytest.mark.parametrize("fields", [PAPER, SELECTION, GRADING, GRADED])
 @pytest.mark.parametrize("aspect", [(16, 9), (1, 1)])
 def test_sets_reach_axis_and_corner(fields, aspect):
     """Within a tenth of the diagonal, which is two units of the corner's radius."""
@@ -95,8 +96,26 @@ def test_sets_reach_axis_and_corner(fields, aspect):
 
 def test_lenses_are_graded_where_nothing_was_chosen():
     """No field of the grading is one of the selection, of the paper or of the draws."""
-    assert len({*GRADING}) == 16 and {*GRADING}.isdisjoint({*SELECTION, *PAPER, *CORNER})
-    assert {*GRADING}.isdisjoint(map(tuple, drawn_points(50, seed=0).tolist()))
+    assert len({*GRADED}) == 64 and {*GRADED}.isdisjoint({*SELECTION, *PAPER, *CORNER})
+    assert {*GRADED}.isdisjoint(map(tuple, drawn_points(50, seed=0).tolist()))
+
+
+@pytest.mark.parametrize("sensor", [None, SensorSettings(full_well=1000)])
+def test_images_take_the_quarters_of_the_cells_in_turns(sensor):
+    """Image i is captured at the fields of the set i modulo four; the last batch may be small."""
+    generator = torch.Generator().manual_seed(0)
+    psf = torch.rand(4 * 3, 3, 5, 5, generator=generator) / 25
+    camera = PsfCamera(psf, sensor=sensor)
+    images = torch.rand(6, 3, 16, 16, generator=generator)
+    captures = CapturePipeline(camera, turns=4).all_fields(images, 7)
+    assert captures.shape == (3, *images.shape)
+    tolerance = 1e-5 if sensor is None else 0.5
+    for k in range(3):
+        no_noise = None if sensor is None else torch.zeros_like(images)
+        expected = camera(images, [3 * (i % 4) + k for i in range(6)], no_noise)
+        assert (captures[k] - expected).abs().max() < tolerance
+    if sensor is None:
+        assert CapturePipeline(camera, turns=4).all_fields(images[:1]).shape == (3, 1, 3, 16, 16)
 
 
 ALL_BUT_ONE = [[0, 0], [0.5, 0], [0, 0.5], [0.5, 0.5]]
@@ -113,8 +132,8 @@ ALL_BUT_ONE = [[0, 0], [0.5, 0], [0, 0.5], [0.5, 0.5]]
         ({"design": [*ALL_BUT_ONE, [0.7, 0.7]]}, "fields.design: the set misses the corner by 0.15 of the diagonal"),
         ({"design": [[0.3, 0.3], *3 * [[1, 1]]]}, "fields.design: the set misses the axis by 0.15 of the diagonal"),
         ({"grading": [*ALL_BUT_ONE, [0.7, 0.7]]}, "fields.grading: the set misses the corner by 0.15 of the diagonal"),
-        ({"design": [[0, 0], [1, 1], *GRADING[:4]]}, "fields.grading: [0.125, 0.125] is also a field of fields.design"),
-        ({"design": GRADING}, "fields.grading: [0.125, 0.125] is also a field of fields.design"),
+        ({"design": [[0, 0], [1, 1], *GRADED[:4]]}, "fields.grading: [0.0625, 0.0625] is also a field of"),
+        ({"design": GRADED}, "fields.grading: [0.0625, 0.0625] is also a field of fields.design"),
         ({"design": OWN, "grading": OWN}, "fields.grading: [0.0, 0.0] is also a field of fields.design"),
         ({"design": "paper", "grading": PAPER}, "fields.grading: [0, 0] is also a field of fields.design"),
         ({"grading": SELECTION}, "is also a field of the choice among lenses"),
@@ -135,7 +154,7 @@ def test_fields_of_a_variant_are_checked_too():
 
     assert small(ablations=variant("paper")).design_points("doublet-tasklens_fields_other") == PAPER
     for fields, words in (
-        (GRADING, "is also a field of ablations.fields.variants.other.fields"),
+        (GRADED, "is also a field of ablations.fields.variants.other.fields"),
         (ALL_BUT_ONE, "ablations.fields.variants.other.fields: the set misses the corner"),
         (OWN[:3], "expected at least 4 fields, found 3"),
         ("sensor", "ablations.fields.variants.other: has the same values as the design itself"),
@@ -153,7 +172,7 @@ def test_fields_of_a_variant_are_checked_too():
     [
         ("fields.design", "paper", {"design", "fine_tune"}),  # PSFs at the nine are stored in any case
         ("fields.design", LIST, {"design", "psfs", "fine_tune"}),
-        ("fields.grading", LIST, {"psfs", "frames", "production", "psf_tail_table"}),
+        ("fields.grading", LIST, {"psfs", "fine_tune", "reproduce", "frames", "production", "psf_tail_table"}),
         ("fields.nine", True, {"fine_tune"}),
     ],
     ids=["paper", "own", "grading", "nine"],
@@ -248,7 +267,7 @@ def test_stored_psfs_are_those_traced_at_their_fields(here):
     study = parse(changed(tiny_study(), "fields.design", LIST))
     lens, path = stored(study)
     view = view_of_spec(study.spec)
-    sets = {"selection": SELECTION, "grading": GRADING, "nine": PAPER, "corner": CORNER, "design": OWN}
+    sets = {"selection": SELECTION, "grading": GRADED, "nine": PAPER, "corner": CORNER, "design": OWN}
     for name, points in {**sets, "training": drawn_points(8, seed=0)}.items():
         psf, illumination = psf_files.read(path, name)
         seen = view.at(points)

@@ -23,6 +23,7 @@ from tasklens.study.settings import Spec
 LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
 SHAPE = 108, 192
 IMAGES, SIDE, FIELDS, HALFWAY = 8, 16, 16, 5
+PSFS = 4 * FIELDS  # those that images take in turns
 TASK, JOINT, BEST, OTHER = "doublet-tasklens", "doublet-tasklens_joint", "doublet-imaging2", "doublet-imaging3"
 CORRECT = {  # halfway to the corner, in file order
     TASK: [1, 0, 1, 0, 1, 1, 0, 0],
@@ -57,11 +58,11 @@ def study(tmp_path, monkeypatch):
     write(outputs("images", study).test_labels, json.dumps(labels))
     for lens, correct in CORRECT.items():
         shutil.copy(LENSES / f"{lens}.yaml", with_parent(outputs("design", study, lens=lens, seed=0).lens))
-        psf = torch.zeros(FIELDS, 3, 5, 5)
+        psf = torch.zeros(PSFS, 3, 5, 5)
         psf[..., 2, 2] = 1
         path = outputs("psfs", study, lens=lens, seed=0).psf
-        notes = {"fields_mm": FIELDS * [[0, 0]]}
-        psf_files.write(path, FieldPsfs(psf, torch.ones(FIELDS)), {"grading": (0, FIELDS)}, notes)
+        notes = {"fields_mm": PSFS * [[0, 0]]}
+        psf_files.write(path, FieldPsfs(psf, torch.ones(PSFS)), {"grading": (0, PSFS)}, notes)
         tuned = outputs("fine_tune", study, lens=lens, measured_name="small", seed=0)
         columns = {f"field{k}": correct if k == HALFWAY else [0] * IMAGES for k in range(FIELDS)}
         rows = {"image": range(IMAGES), "label": ["cat", "dog"] * (IMAGES // 2)} | columns

@@ -117,6 +117,7 @@ def _pipelines(
             return CapturePipeline(None, network)
         assert psf is not None  # captures need the PSFs of a lens
         tensors = (tensor.to(device) for tensor in psf_files.read(psf, fields))
-        return CapturePipeline(PsfCamera.of(settings.capture, *tensors), network)
+        turns = settings.turns if fields == "grading" else 1
+        return CapturePipeline(PsfCamera.of(settings.capture, *tensors), network, turns)
 
     return pipeline

@@ -105,7 +105,7 @@ def _disagreements(
         row = int(only.argmax())
         image, label = only.index[row]
         images, _ = test.batch(torch.tensor([int(image)]))
-        captures = {lens: _single(settings, lens, psf, images) for lens, (psf, _) in files.items()}
+        captures = {lens: _single(settings, lens, psf, images, int(image)) for lens, (psf, _) in files.items()}
         answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
         disagreements.append(
             frames.ClassifiedImage(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers)
@@ -113,8 +113,8 @@ def _disagreements(
     return disagreements
 
 
-def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor) -> Tensor:
-    """Return the capture (3, H, W) of one image through a lens at the field of `settings`."""
-    field_tensors = (tensor[[settings.field]] for tensor in psf_files.read(psf, "grading"))
-    camera = PsfCamera.of(settings.captures[lens], *field_tensors)
+def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor, number: int) -> Tensor:
+    """Return the capture (3, H, W) of one image, with its number in the split, at the field of `settings`."""
+    of_turn = (tensor.chunk(settings.turns)[number % settings.turns] for tensor in psf_files.read(psf, "grading"))
+    camera = PsfCamera.of(settings.captures[lens], *(tensor[[settings.field]] for tensor in of_turn))
     return camera.all_fields(images, torch.Generator().manual_seed(0))[0, 0]

@@ -8,7 +8,8 @@ import torch
 from tasklens.design import production
 from tasklens.design.production import Images, Production
 from tasklens.imaging import PsfCamera
-from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.io import prescription
 from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
@@ -28,7 +29,6 @@ _WORST = 10  # number of errors whose effect on accuracy is also measured, one a
 def run(
     settings: ProductionJob,
     lens: Path,
-    psf: Path,
     weights: Path,
     minival: Sequence[Path],
     test: Sequence[Path],
@@ -44,7 +44,9 @@ def run(
     images, selection = (dataset.read(*split, device=device) for split in (test, minival))
     network = classifiers.build(settings.classifier, images.classes, weights).to(device)
     classifier = classifiers.frozen(network, images.images)
-    illumination = psf_files.read(psf, "grading").illumination.to(device)
+    illumination = None  # it takes seconds
+    if settings.capture.sensor is not None:
+        illumination = relative_illumination(nominal, view).to(device)
     model = Production(
         nominal,
         view,

@@ -48,7 +48,8 @@ def fine_tune(
     for fields in pipelines if settings.capture is not None else ():
         assert settings.capture is not None and psf is not None  # captures need the PSFs of a lens
         tensors = (tensor.to(device) for tensor in psf_files.read(psf, fields))
-        pipelines[fields] = CapturePipeline(PsfCamera.of(settings.capture, *tensors))
+        turns = settings.turns if fields == "grading" else 1
+        pipelines[fields] = CapturePipeline(PsfCamera.of(settings.capture, *tensors), turns=turns)
     training_task, test_task = (
         object_tasks.make(settings.name, settings.network, split) for split in (training_images, test_images)
     )

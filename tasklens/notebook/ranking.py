@@ -13,7 +13,7 @@ import torch
 from timm.data import ImageNetInfo
 from torch import Tensor, nn
 
-from tasklens.fields import GRADING, PAPER
+from tasklens.fields import GRADING, PAPER, QUARTERS
 from tasklens.imaging import PsfCamera
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.datasheet import means
@@ -128,7 +128,7 @@ def rank(
     if not isinstance(network, nn.Module):
         raise InputError(f"rank: expected a torch.nn.Module, got {type(network).__name__}")
     for name, (lens, view) in lenses.items():
-        _check_light(name, lens, view.at(GRADING))
+        _check_light(name, lens, view.at(sum(QUARTERS, ())))
     subject = on_sharp_images(network, dataset, outputs)
     try:
         better_than_guessing(subject.accuracy, len(dataset), subject.outputs)
@@ -187,7 +187,7 @@ def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, ra
     """Return the ranking of lenses for a network."""
     correct, at_nine = {}, {}
     for name, (lens, view) in lenses.items():
-        correct[name], inside = _correct(subject, lens, view.at(GRADING), rays, name)
+        correct[name], inside = _correct(subject, lens, view.at(sum(QUARTERS, ())), rays, name, len(QUARTERS))
         if remark := window_remark(inside, view.kernel_size):
             warnings.warn(f"rank: {name}: {remark}", stacklevel=4)
         at_nine[name], _ = _correct(subject, lens, view.at(PAPER), rays, name)
@@ -212,12 +212,14 @@ def _check_light(name: str, lens: Lens, view: View) -> None:
         raise InputError(f"{name}: {error}") from None
 
 
-def _correct(subject: OnSharpImages, lens: Lens, view: View, rays: int, name: str) -> tuple[pandas.DataFrame, Tensor]:
+def _correct(
+    subject: OnSharpImages, lens: Lens, view: View, rays: int, name: str, turns: int = 1
+) -> tuple[pandas.DataFrame, Tensor]:
     """Return the predictions through a lens, a row per image and a column per field, and the energies in the window."""
     lens, view = lens.detached(), view.in_colours()
     _check_light(name, lens, view)
     grid = evaluation_psf(lens, view, rays)
     camera = PsfCamera(grid.to(subject.images.device))
-    correct = evaluation.evaluate(subject.network, subject.images, CapturePipeline(camera), name).correct
+    correct = evaluation.evaluate(subject.network, subject.images, CapturePipeline(camera, turns=turns), name).correct
     frame = pandas.DataFrame(evaluation.by_image({"field": correct.int()}, subject.images))
     return frame.set_index(["image", "label"]), energy_inside(grid)

@@ -27,10 +27,14 @@ class CapturePipeline:
     """Optional camera, then optional restoration, applied to images before a classifier.
 
     For training, the fields of the camera are draws of nine.
+
+    Attributes:
+        turns: number of sets of as many fields; for tests image i is captured at those of the set i modulo `turns`.
     """
 
     camera: PsfCamera | None = None
     restoration: nn.Module | None = None
+    turns: int = 1
 
     def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:
         """Return captures of a share of images (B, 3, H, W) in [0, 1] at random fields of one draw, for training."""
@@ -45,10 +49,19 @@ class CapturePipeline:
     def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:
         """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera.
 
-        Noise is the same for all lenses; the number `batch` seeds it, so that batches differ.
+        Noise is the same for all lenses; the number `batch` seeds it, so that batches differ. The first image has the
+        first turn: batches of other sizes than multiples of `turns` come last.
         """
         generator = torch.Generator().manual_seed(batch)
-        captures = images[None] if self.camera is None else self.camera.all_fields(images, generator)
+        if self.camera is None:
+            captures = images[None]
+        elif self.turns == 1:
+            captures = self.camera.all_fields(images, generator)
+        else:
+            sets = torch.arange(len(self.camera.psf)).reshape(self.turns, -1)
+            captures = images.new_empty(sets.shape[1], *images.shape)
+            for turn, fields in enumerate(sets[: len(images)].tolist()):
+                captures[:, turn :: self.turns] = self.camera.all_fields(images[turn :: self.turns], generator, fields)
         return torch.stack([self._restored(field) for field in captures])
 
     def _restored(self, captures: Tensor) -> Tensor:

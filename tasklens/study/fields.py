@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from tasklens.fields import CORNER, GRADING, PAPER, SELECTION, Points
+from tasklens.fields import CORNER, GRADING, PAPER, QUARTERS, SELECTION, Points
 from tasklens.study.frozen import Frozen
 
 NAMED = ("sensor", "paper")  # sets that have a name
@@ -51,8 +51,9 @@ class FieldSettings(Frozen):
     )
     grading: FieldSet = Field(
         "sensor",
-        description="Fields of the test images. sensor: the centres of 4 x 4 cells, which no design or choice uses; "
-        "paper: the paper's nine, on which networks are then trained and lenses chosen, too; or a list.",
+        description="Fields of the test images, which no design or choice uses. sensor: one in each of 4 x 4 cells, "
+        "the centre of another quarter of the cell for each of four images; paper: the paper's nine, on which networks "
+        "are then trained and lenses chosen, too; or a list.",
     )
     nine: bool = Field(False, description="Grade lenses at the paper's nine fields, too.")
 
@@ -68,8 +69,13 @@ class FieldSettings(Frozen):
 
     @property
     def grading_points(self) -> Points:
-        """Fields of the test images."""
+        """Fields of the test images, or the centres of their cells."""
         return points(self.grading) or GRADING
+
+    @property
+    def turns(self) -> tuple[Points, ...]:
+        """Fields that the test images take in turns: image i those with the number i modulo the number of turns."""
+        return QUARTERS if self.grading == "sensor" else (self.grading_points,)
 
     @property
     def halfway(self) -> int:
@@ -89,7 +95,7 @@ class FieldSettings(Frozen):
         sets: dict[str, Points | None] = {
             "training": None,
             "selection": SELECTION,
-            "grading": self.grading_points,
+            "grading": sum(self.turns, ()),
             "nine": PAPER,
         }
         return sets | {"corner": CORNER} | ({} if design in (None, PAPER) else {"design": design})

@@ -104,17 +104,23 @@ class RestorationJob(Frozen):
 
 
 class CapturePipelineSettings(Frozen):
-    """Settings of a classifier's input: captures of a lens (None: sharp images), restored or not (None)."""
+    """Settings of a classifier's input: captures of a lens (None: sharp images), restored or not (None).
+
+    Attributes:
+        turns: number of sets of fields that test images take in turns.
+    """
 
     capture: CaptureSettings | None
     restoration: RestorationSettings | None
+    turns: int
 
 
 def _pipeline(study: Study, lens: str, restored: bool) -> dict[str, Any]:
     if restored and lens == SHARP:
         raise StudyError(f"{SHARP} images are not restored; expected a classifier without -restored")
     capture = None if lens == SHARP else study.capture_of(lens)
-    return {"capture": capture, "restoration": study.restoration if restored else None}
+    turns = 1 if lens == SHARP else len(study.fields.turns)
+    return {"capture": capture, "restoration": study.restoration if restored else None, "turns": turns}
 
 
 def lens_columns(study: Study, lens: str) -> dict[str, Any]:

@@ -83,13 +83,15 @@ class FramesJob(Frozen):
     comparison: ComparisonJob
     captures: dict[str, CaptureSettings]
     field: int
+    turns: int
 
     @classmethod
     def of(cls, study: Study, elements: str, seed: int) -> "FramesJob":
         """Return the settings of the job."""
         comparison = ComparisonJob.of(study, elements, seed)
         captures = {lens: study.capture_of(lens) for lens in comparison.lenses}
-        return cls(comparison=comparison, captures=captures, field=study.fields.halfway)
+        fields = {"field": study.fields.halfway, "turns": len(study.fields.turns)}
+        return cls(comparison=comparison, captures=captures, **fields)
 
 
 class CapturesJob(Frozen):

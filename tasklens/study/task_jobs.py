@@ -40,6 +40,7 @@ class TaskFineTuningJob(Frozen):
     name: str
     network: TaskSettings
     capture: CaptureSettings | None
+    turns: int
     columns: dict[str, Any]
     seed: int
 
@@ -48,7 +49,13 @@ class TaskFineTuningJob(Frozen):
         """Return the settings of the job."""
         capture = None if lens == SHARP else study.capture_of(lens)
         columns = lens_columns(study, lens) | {"task": task, "seed": seed}
-        return cls(name=task, network=study.task(task), capture=capture, columns=columns, seed=seed)
+        options = {
+            "capture": capture,
+            "turns": 1 if lens == SHARP else len(study.fields.turns),
+            "columns": columns,
+            "seed": seed,
+        }
+        return cls(name=task, network=study.task(task), **options)
 
 
 class TaskKey(NamedTuple):

@@ -5,7 +5,6 @@ rule production:
     """Build lenses of a design in simulation, with manufacturing errors, and measure them."""
     input:
         lens=rules.design.output.lens,
-        psf=rules.psfs.output.psf,
         weights=supervisor_weights,
         minival=MINIVAL,
         test=TEST,
