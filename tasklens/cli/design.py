@@ -60,7 +60,7 @@ def design(
         typer.Option(
             help="Lens to improve, .zmx or .yaml; its glasses stay. flat: plane-parallel plates, as in the paper, with "
             "the schedule of the studies (task, log_image_error, correlation): as accurate as from imaging lenses, the "
-            "default (98.4 and 98.6 % on textures, one seed), in up to five times as many steps.",
+            "default (97.5 and 97.6 % on textures, one seed), in up to five times as many steps.",
             rich_help_panel=_START,
         ),
     ] = None,
