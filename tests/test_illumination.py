@@ -62,8 +62,8 @@ def test_it_is_the_density_of_rays(path, distance):
 
     The stop is in front. A ray counts by the etendue of its sample: areas of object and stop, and cos^4 / z^2.
     """
-    lens, view = tasklens.load_lens(path, object_distance_mm=distance)
-    view = view.in_reference()
+    lens, view = tasklens.load_lens(path)
+    view = replace(view.in_reference(), object_vergence=1 / distance)  # without refocusing
     fields = view.along_y(torch.linspace(0.4, 1.7, 14, dtype=torch.float64))
     light, heights = relative_illumination(lens, fields), chief_points(lens, fields)[:, 1]
     u, v, w = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(1 << 20, dtype=torch.float64).unbind(-1)
