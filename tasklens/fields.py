@@ -19,4 +19,5 @@ _SHIFT = 1 / 16  # from the centre of such a cell to that of its quarter
 QUARTERS: tuple[Points, ...] = tuple(  # of the cells, which images take in turns; none is in SELECTION or PAPER
     tuple((u + du, v + dv) for u, v in GRADING) for dv in (-_SHIFT, _SHIFT) for du in (-_SHIFT, _SHIFT)
 )
+GRADED: Points = sum(QUARTERS, ())  # all of them, turn by turn
 CORNER: Points = ((1.0, 1.0),)

@@ -44,8 +44,8 @@ def run(
     images, selection = (dataset.read(*split, device=device) for split in (test, minival))
     network = classifiers.build(settings.classifier, images.classes, weights).to(device)
     classifier = classifiers.frozen(network, images.images)
-    illumination = None  # it takes seconds
-    if settings.capture.sensor is not None:
+    illumination = None
+    if settings.capture.sensor is not None:  # it takes seconds
         illumination = relative_illumination(nominal, view).to(device)
     model = Production(
         nominal,

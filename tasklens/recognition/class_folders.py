@@ -103,8 +103,10 @@ def classes(split: Path, least: int = 2) -> list[str]:
     if len(inside) < least:
         advice = f"; if its folders are the classes, give {split / inside[0]}" * bool(_subfolders(split / inside[0]))
         raise FileError(f"{split}: expected two classes or more, a folder each, found only {inside[0]}{advice}")
-    for name in (name for name in sorted(inside) if (split / name).is_symlink()):
-        if same := next((other for other in inside if other != name and (split / other).samefile(split / name)), None):
+    links = sorted(name for name in inside if (split / name).is_symlink())
+    classes_at: dict[Path, str] = {}
+    for name in [*sorted({*inside} - {*links}), *links] if links else []:
+        if (same := classes_at.setdefault((split / name).resolve(), name)) != name:
             raise FileError(f"{split}: {name} is a link to the folder of the class {same}; remove it")
     if len(inside) > len({composed(name) for name in inside}):
         duplicate = next(name for name in inside if sum(composed(name) == composed(other) for other in inside) > 1)

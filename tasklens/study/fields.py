@@ -78,6 +78,11 @@ class FieldSettings(Frozen):
         return QUARTERS if self.grading == "sensor" else (self.grading_points,)
 
     @property
+    def graded_points(self) -> Points:
+        """All fields of the test images, turn by turn."""
+        return sum(self.turns, ())
+
+    @property
     def halfway(self) -> int:
         """Index of the field of the grading that is nearest to the middle of the quadrant."""
         fields = self.grading_points
@@ -95,7 +100,7 @@ class FieldSettings(Frozen):
         sets: dict[str, Points | None] = {
             "training": None,
             "selection": SELECTION,
-            "grading": sum(self.turns, ()),
+            "grading": self.graded_points,
             "nine": PAPER,
         }
         return sets | {"corner": CORNER} | ({} if design in (None, PAPER) else {"design": design})

@@ -119,8 +119,16 @@ def _pipeline(study: Study, lens: str, restored: bool) -> dict[str, Any]:
     if restored and lens == SHARP:
         raise StudyError(f"{SHARP} images are not restored; expected a classifier without -restored")
     capture = None if lens == SHARP else study.capture_of(lens)
-    turns = 1 if lens == SHARP else len(study.fields.turns)
-    return {"capture": capture, "restoration": study.restoration if restored else None, "turns": turns}
+    return {
+        "capture": capture,
+        "restoration": study.restoration if restored else None,
+        "turns": turns(study, lens),
+    }
+
+
+def turns(study: Study, lens: str) -> int:
+    """Return the number of sets of fields that test images take in turns; sharp images have no fields."""
+    return 1 if lens == SHARP else len(study.fields.turns)
 
 
 def lens_columns(study: Study, lens: str) -> dict[str, Any]:
