@@ -11,9 +11,8 @@ from pathlib import Path
 import timing
 
 from restoration import training
-from tasklens.imaging import PsfCamera
-from tasklens.optics.io import psf_files
 from tasklens.recognition import dataset
+from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.study import loading, report_jobs
 from tasklens.study.job_settings import RestorationJob
 
@@ -32,12 +31,14 @@ def main(arguments: list[str] | None = None) -> None:
     for lens in options.lenses or report_jobs.CapturesJob.of(study).restored:
         job = RestorationJob.of(study, lens, study.seeds[0])
         path = options.results / "lenses" / lens / f"seed{job.seed}" / "psf.safetensors"
-        cameras = [PsfCamera.of(job.capture, *psf_files.read(path, fields)) for fields in ("training", "selection")]
+        pipelines = [
+            CapturePipeline.of(job.capture, path, fields, images.device) for fields in ("training", "selection")
+        ]
         quality, seconds = [], []
         for steps in (job.restoration.steps, 2 * job.restoration.steps):
             settings = job.restoration.model_copy(update={"steps": 2 if options.tiny else steps})
             begin = time.process_time()
-            _, history = training.train(settings, images, minival, *cameras, job.seed)
+            _, history = training.train(settings, images, minival, *pipelines, job.seed)
             quality.append(history[-1]["psnr_db"])
             seconds.append(time.process_time() - begin)
         numbers = (f"{quality[0]:.2f}", f"{quality[1]:.2f}", f"{quality[1] - quality[0]:+.2f}")

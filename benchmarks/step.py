@@ -73,7 +73,7 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     quick = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     lens, _ = least_squares.design(plates, problem, quick)  # no ray is lost: lost rays cost time
     optimizer = AdamWOptimizer(lens, problem, DescentSettings(optimizer="adamw", steps=rounds + 1))
-    captures = timed * len(problem.view_of_validation.fields)
+    captures = timed * len(problem.view_of_step(0).fields)
     ours, nothing = TaskLoss(frozen(network, dataset.images)), TaskLoss(Average())
     supervisor = Supervisor(ours, problem, None, augment=False, micro_batch=captures)
     indices = torch.arange(timed)

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from restoration.nafnet import NAFNet, build
-from tasklens.imaging import PsfCamera, psnr
+from tasklens.imaging import psnr
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import Shuffled, warmup_cosine
@@ -25,12 +25,12 @@ def train(
     settings: RestorationSettings,
     dataset: ImageDataset,
     minival: ImageDataset,
-    camera: PsfCamera,
-    validation_camera: PsfCamera,
+    pipeline: CapturePipeline,
+    validation_pipeline: CapturePipeline,
     seed: int,
     checkpoint: Checkpoint = NO_CHECKPOINT,
 ) -> tuple[NAFNet, list[dict[str, Any]]]:
-    """Train a NAFNet to restore captures of `camera`, each at a random field, to their sharp images.
+    """Train a NAFNet to restore captures, each at a random field, to their sharp images.
 
     The loss is the negative PSNR of each image; the optimizer is AdamW with betas (0.9, 0.9) and gradients clipped at a
     norm of 0.01, as in NAFNet. The learning rate rises for 5 % of the steps and falls along a cosine to zero.
@@ -38,8 +38,8 @@ def train(
     Args:
         settings: network, learning rate, number of steps, and side of the crops.
         dataset, minival: sharp images for training and for validation.
-        camera: camera with the PSFs of the lens at the fields of training.
-        validation_camera: the same at the fields of validation.
+        pipeline: capture pipeline of the lens at the fields of training.
+        validation_pipeline: the same at the fields of the selection.
         seed: seed of the network, the image order, the fields and the crops.
         checkpoint: checkpoint of the job; the part is `restoration`.
 
@@ -56,7 +56,7 @@ def train(
     optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, _BETAS, weight_decay=0.0, fused=True)
     schedule = warmup_cosine(optimizer, settings.steps, _WARMUP)
     progress = Progress("restoration", settings.steps)
-    order, pipeline = Shuffled(len(dataset), settings.batch_size, generator), CapturePipeline(camera)
+    order = Shuffled(len(dataset), settings.batch_size, generator)
     part = checkpoint.part("restoration", network=network, optimizer=optimizer, schedule=schedule, order=order)
     for step in range(part.step + 1, settings.steps + 1):
         images, _ = dataset.batch(order.next())
@@ -65,7 +65,7 @@ def train(
         _check_finite("PSNR", quality, step)
         progress(step, psnr_db=quality)
         if step % settings.check == 0 or step == settings.steps:
-            validation_psnr = _validation_psnr(network, minival, validation_camera)
+            validation_psnr = _validation_psnr(network, minival, validation_pipeline)
             _check_finite("PSNR of the minival", validation_psnr, step)
             rate = schedule.get_last_lr()[0]
             part.history.append({"step": step, "learning_rate": rate, "psnr_db": validation_psnr})
@@ -100,8 +100,8 @@ def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, i
 
 
 @torch.no_grad()
-def _validation_psnr(network: NAFNet, minival: ImageDataset, camera: PsfCamera) -> float:
+def _validation_psnr(network: NAFNet, minival: ImageDataset, pipeline: CapturePipeline) -> float:
     """Compute the mean PSNR [dB] over images and fields."""
     images, _ = minival.batch(torch.arange(min(_VALIDATION_IMAGES, len(minival))))
-    captures = camera.all_fields(images, torch.Generator().manual_seed(0))
+    captures = pipeline.all_fields(images)
     return float(torch.stack([psnr(network(at_field), images).mean() for at_field in captures]).mean())

@@ -123,8 +123,8 @@ def test_design_from_imaging_begins_with_the_better_lens(lenses):
 def test_psf_file_says_what_it_holds(lenses):
     """3 colours, 11 x 11 pixels, and five sets of fields; the metadata's energies are the sums of the PSFs."""
     tensors, notes = read_tensors(lens_path("singlet-imaging1", "psf.safetensors"))
-    counts = {name: end - start for name, (start, end) in notes["sets"].items()}
-    assert counts == {"training": 72, "selection": 9, "grading": 64, "nine": 9, "corner": 1}
+    counts = {name: end - start for name, (start, end, _) in notes["sets"].items()}
+    assert counts == {"training": 72, "selection": 36, "grading": 64, "nine": 9, "corner": 1}
     fields = sum(counts.values())
     assert tensors["psf"].shape == (fields, 3, 11, 11) and tensors["psf"].dtype == torch.float32
     assert len(notes["fields_mm"]) == fields and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8

@@ -21,7 +21,7 @@ from tasklens.runtime.files import FileError, read_table, read_yaml, write_tenso
 from tasklens.study.restoration_settings import RestorationSettings
 
 NAFNET = RestorationSettings(width=4, encoder=(1,), decoder=(1,), steps=1)
-SETS, NOTES = {"grading": (0, 2), "corner": (1, 2)}, {"fields_mm": [[0, 0], [1, 0]]}
+SETS, NOTES = {"grading": (0, 2, 2), "corner": (1, 2, 1)}, {"fields_mm": [[0, 0], [1, 0]]}
 
 
 def good_psfs() -> FieldPsfs:
@@ -34,8 +34,10 @@ def test_psfs_come_back(tmp_path):
     psfs = good_psfs()
     path = tmp_path / "psf.safetensors"
     psf_files.write(path, psfs, SETS, NOTES)
-    for fields, part in (("grading", slice(0, 2)), ("corner", slice(1, 2))):
-        assert all(torch.equal(a[part], b) for a, b in zip(psfs, psf_files.read(path, fields), strict=True))
+    for fields, part, turns in (("grading", slice(0, 2), 2), ("corner", slice(1, 2), 1)):
+        psf, illumination, of_set = psf_files.read(path, fields)
+        assert torch.equal(psf, psfs.psf[part]) and torch.equal(illumination, psfs.illumination[part])
+        assert of_set == turns
     with pytest.raises(FileError, match=r"psf\.safetensors: has no PSFs of the fields of nine; remove it"):
         psf_files.read(path, "nine")
 
@@ -57,7 +59,7 @@ def test_psfs_come_back(tmp_path):
 )
 def test_psfs_that_no_lens_has_are_named(tmp_path, change, words):
     path = tmp_path / "psf.safetensors"
-    psf_files.write(path, FieldPsfs(*change(*good_psfs())), SETS, NOTES)
+    psf_files.write(path, FieldPsfs(*change(*good_psfs()[:2])), SETS, NOTES)
     with pytest.raises(FileError, match=r"psf\.safetensors: .*; delete it and run again") as error:
         psf_files.read(path, "grading")
     assert words in str(error.value)

@@ -21,7 +21,7 @@ from tasklens.design.merit import limit_semi_diameters
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.supervision import Supervisor
-from tasklens.fields import CELLS, CORNER, GRADED, GRADING, PAPER, SELECTION, Points
+from tasklens.fields import CELLS, CORNER, GRADING, GRADING_CENTRES, PAPER, SELECTION, Points, cell_centres
 from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters, evaluation_psf
@@ -40,6 +40,7 @@ from tasklens.study.study import Study, StudyError
 from tasklens.study.tables import lens_design
 
 HEADLINE = Path(__file__).parents[1] / "docs/results/headline/lenses"
+GRADED, SELECTED = (sum(sets, ()) for sets in (GRADING, SELECTION))
 OWN: Points = ((0.0, 0.0), (0.6, 0.2), (0.3, 0.7), (1.0, 1.0), (0.9, 0.4))
 LIST = [list(point) for point in OWN]  # as a study file has them
 
@@ -61,7 +62,7 @@ def test_each_cell_has_a_point_in_every_draw():
     """Nine cells, row by row; the same seed repeats the points."""
     points = drawn_points(40, seed=1)
     cells = (CELLS * points).long().reshape(40, CELLS**2, 2)
-    assert torch.equal(cells, (CELLS * f64(SELECTION)).long().expand(40, -1, -1))
+    assert torch.equal(cells, (CELLS * f64(cell_centres(CELLS))).long().expand(40, -1, -1))
     assert torch.equal(points, drawn_points(40, seed=1)) and not torch.equal(points, drawn_points(40, seed=2))
 
 
@@ -73,7 +74,7 @@ def test_draws_are_uniform_in_area():
     assert chi2.ppf(0.001, 135) < statistic < chi2.ppf(0.999, 135)
 
 
-@pytest.mark.parametrize("fields, cells", [(SELECTION, 3), (GRADING, 4), (GRADED, 8)])
+@pytest.mark.parametrize("fields, cells", [(SELECTED, 6), (GRADING_CENTRES, 4), (GRADED, 8)])
 def test_fixed_sets_are_uniform_in_area(fields, cells):
     """Moments of cell centres: 1/2, 1/3 less the variance of a cell, 1/4. The paper's nine are farther out."""
     u, v = f64(fields).T
@@ -85,7 +86,7 @@ def test_fixed_sets_are_uniform_in_area(fields, cells):
     assert float((f64(PAPER)[:, 0] ** 2).mean()) == pytest.approx(5 / 12)
 
 
-@pytest.mark.parametrize("fields", [PAPER, SELECTION, GRADING, GRADED])
+@pytest.mark.parametrize("fields", [PAPER, SELECTED, GRADING_CENTRES, GRADED])
 @pytest.mark.parametrize("aspect", [(16, 9), (1, 1)])
 def test_sets_reach_axis_and_corner(fields, aspect):
     """Within a tenth of the diagonal, which is two units of the corner's radius."""
@@ -95,7 +96,7 @@ def test_sets_reach_axis_and_corner(fields, aspect):
 
 def test_lenses_are_graded_where_nothing_was_chosen():
     """No field of the grading is one of the selection, of the paper or of the draws."""
-    assert len({*GRADED}) == 64 and {*GRADED}.isdisjoint({*SELECTION, *PAPER, *CORNER})
+    assert len({*GRADED}) == 64 and {*GRADED}.isdisjoint({*SELECTED, *PAPER, *CORNER})
     assert {*GRADED}.isdisjoint(map(tuple, drawn_points(50, seed=0).tolist()))
 
 
@@ -135,7 +136,7 @@ ALL_BUT_ONE = [[0, 0], [0.5, 0], [0, 0.5], [0.5, 0.5]]
         ({"design": GRADED}, "fields.grading: [0.0625, 0.0625] is also a field of fields.design"),
         ({"design": OWN, "grading": OWN}, "fields.grading: [0.0, 0.0] is also a field of fields.design"),
         ({"design": "paper", "grading": PAPER}, "fields.grading: [0, 0] is also a field of fields.design"),
-        ({"grading": SELECTION}, "is also a field of the choice among lenses"),
+        ({"grading": SELECTED}, "is also a field of the choice among lenses"),
         ({"design": "sensor", "gradig": "paper"}, "fields.gradig = 'paper': unknown key; did you mean grading?"),
     ],
 )
@@ -171,7 +172,7 @@ def test_fields_of_a_variant_are_checked_too():
     [
         ("fields.design", "paper", {"design", "fine_tune"}),  # PSFs at the nine are stored in any case
         ("fields.design", LIST, {"design", "psfs", "fine_tune"}),
-        ("fields.grading", LIST, {"psfs", "fine_tune", "reproduce", "frames", "production", "psf_tail_table"}),
+        ("fields.grading", LIST, {"psfs", "frames", "production", "psf_tail_table"}),  # others read the PSFs
         ("fields.nine", True, {"fine_tune"}),
     ],
     ids=["paper", "own", "grading", "nine"],
@@ -191,7 +192,7 @@ def test_metrics_of_each_set():
     default, paper = FieldSettings(), FieldSettings.model_validate("paper")
     assert default.graded(None) == {"accuracy": "grading", "corner_accuracy": "corner"}
     assert default.graded(PAPER)["accuracy_at_design_fields"] == "nine"
-    assert default.graded(OWN)["accuracy_at_design_fields"] == "design" and default.sets(OWN)["design"] == OWN
+    assert default.graded(OWN)["accuracy_at_design_fields"] == "design" and default.sets(OWN)["design"] == (OWN,)
     assert FieldSettings(nine=True).graded(None)["accuracy_at_nine"] == "nine"
     assert paper.graded(PAPER) == {"accuracy": "grading", "corner_accuracy": "corner"}
     for settings, design in itertools.product((default, paper, FieldSettings(nine=True)), (None, PAPER, OWN)):
@@ -210,7 +211,8 @@ def test_the_papers_fields_are_those_of_the_specification():
     posed = Problem(view, study.constraints, 0, fields=plan.fields)
     for seed in (0, 7):
         assert torch.equal(posed.view_of_step(seed).fields, view.fields)
-    assert torch.equal(posed.view_of_validation.fields, view.fields)
+    (validated,) = posed.views_of_validation
+    assert torch.equal(validated.fields, view.fields)
     assert lens_design(small(), "doublet-tasklens", 0).fields is None
 
 
@@ -239,7 +241,7 @@ def test_training_at_nine_fields_draws_the_numbers_of_before(sensor):
 
 def test_a_step_of_training_sees_one_draw():
     """Of eight; over many steps all of them, and all fields of each."""
-    pipeline, generator = CapturePipeline(Numbered(72)), torch.Generator().manual_seed(0)
+    pipeline, generator = CapturePipeline(Numbered(72), turns=8), torch.Generator().manual_seed(0)
     steps = [pipeline.one_field(torch.ones(30, 3, 4, 4), generator) for _ in range(60)]
     assert all(len({*(fields // 9).tolist()}) == 1 for fields in steps)
     assert {*torch.cat(steps).tolist()} == {*range(72)}
@@ -266,12 +268,13 @@ def test_stored_psfs_are_those_traced_at_their_fields(here):
     study = parse(changed(tiny_study(), "fields.design", LIST))
     lens, path = stored(study)
     view = view_of_spec(study.spec)
-    sets = {"selection": SELECTION, "grading": GRADED, "nine": PAPER, "corner": CORNER, "design": OWN}
+    sets = {"selection": SELECTED, "grading": GRADED, "nine": PAPER, "corner": CORNER, "design": OWN}
     for name, points in {**sets, "training": drawn_points(8, seed=0)}.items():
-        psf, illumination = psf_files.read(path, name)
+        psf, illumination, turns = psf_files.read(path, name)
         seen = view.at(points)
         assert (psf - evaluation_psf(lens, seen, study.evaluation_rays)).abs().max() < 1e-6, name
         assert (illumination == 1).all(), name  # there is no sensor
+        assert turns == {"training": 8, "selection": 4, "grading": 4}.get(name, 1)
     assert not torch.equal(drawn_points(8, seed=0), drawn_points(8, seed=1))
 
 
@@ -280,7 +283,9 @@ def test_psfs_of_the_papers_nine_are_stored_once(here):
     _, path = stored(study)
     _, notes = read_tensors(path)
     nine = ("training", "selection", "grading", "nine")
-    assert notes["sets"] == {name: [0, 9] for name in nine} | {"corner": [9, 10]} and len(notes["fields_mm"]) == 10
+    assert (
+        notes["sets"] == {name: [0, 9, 1] for name in nine} | {"corner": [9, 10, 1]} and len(notes["fields_mm"]) == 10
+    )
     assert torch.equal(psf_files.read(path, "corner").psf[0], psf_files.read(path, "nine").psf[8])
     with pytest.raises(FileError, match="has no PSFs of the fields of design"):
         psf_files.read(path, "design")
@@ -333,8 +338,8 @@ class Sharpness(nn.Module):
 
 def test_fields_along_an_axis_span_a_square_quadrant():
     """With the same corner, so that a grading between them is uniform in area."""
-    points = VIEW.along_y(VIEW.radii).at(GRADING)
-    assert len({tuple(point) for point in points.fields.tolist()}) == len(GRADING)
+    points = VIEW.along_y(VIEW.radii).at(GRADING_CENTRES)
+    assert len({tuple(point) for point in points.fields.tolist()}) == len(GRADING_CENTRES)
     corner = VIEW.along_y(VIEW.radii).at([(1.0, 1.0)])
     assert float(corner.radii) == pytest.approx(float(VIEW.radii.max()))
 
@@ -405,5 +410,6 @@ def test_each_step_sees_other_fields(start, criterion):
     one, two = (losses(fixed, seed) for seed in (0, 1))
     assert torch.equal(one.view.fields, two.view.fields) and torch.equal(one.fields, two.fields)
     assert torch.equal(one.view.fields, VIEW.at(OWN).fields) and one.fields.shape == (5,)
-    assert torch.equal(fixed.view_of_validation.fields, VIEW.at(OWN).fields)
-    assert torch.equal(drawn.view_of_validation.fields, VIEW.at(SELECTION).fields)
+    for posed, sets in ((fixed, (OWN,)), (drawn, SELECTION)):
+        for view, points in zip(posed.views_of_validation, sets, strict=True):
+            assert torch.equal(view.fields, VIEW.at(points).fields)

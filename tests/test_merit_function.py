@@ -78,7 +78,7 @@ def write_results(study, light: float) -> None:
         path = outputs("psfs", study, lens=lens, seed=0).psf
         path.parent.mkdir(parents=True, exist_ok=True)
         psfs, notes = FieldPsfs(torch.from_numpy(light * psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
-        psf_files.write(path, psfs, {"selection": (0, len(psf))}, notes)
+        psf_files.write(path, psfs, {"selection": (0, len(psf), 1)}, notes)
         for name, band in (("small", 2), ("other", 5)):
             loss = numpy.exp(1 - 4 * modulation(psf)[:, band])
             losses = {"image": range(2), "label": ["cat", "dog"]}

@@ -72,7 +72,7 @@ def test_a_perfect_lens_is_read_as_sharp_photographs_are(tmp_path, monkeypatch):
         psf[:, :, 5, 5] = light
         path = lens_file("tiny", lens, name="psf.safetensors")
         path.parent.mkdir(parents=True)
-        psf_files.write(path, FieldPsfs(psf, torch.ones(9)), {"grading": (0, 9)}, {"fields_mm": [[0, 0]] * 9})
+        psf_files.write(path, FieldPsfs(psf, torch.ones(9)), {"grading": (0, 9, 1)}, {"fields_mm": [[0, 0]] * 9})
     (lens, classifier, _), (baseline, _, _) = KEYS
     claim = Claim(
         table="table1",

@@ -11,14 +11,14 @@ import matplotlib
 import pandas
 from matplotlib.figure import Figure
 
-from tasklens.fields import GRADING, PAPER
+from tasklens.fields import GRADING_CENTRES, PAPER
 from tasklens.report import answers_file, vector_files
 from tasklens.study import loading
 from tasklens.study.fields import radii
 
 FOLDER = Path(__file__).parent
 ABLATIONS = {"design_fields": "task, from flat plates", "design_fields_correlation": "image correlation"}
-SETS = {"between": GRADING, "nine": PAPER}
+SETS = {"between": GRADING_CENTRES, "nine": PAPER}
 
 
 def rows(name: str) -> pandas.DataFrame:

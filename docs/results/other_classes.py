@@ -14,8 +14,6 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.imaging import PsfCamera
-from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset, evaluation
 from tasklens.report import answers_file, verdicts
 from tasklens.study import loading
@@ -39,11 +37,11 @@ def answers(study: Study, results: Path, folder: Path, keys: list[Key]) -> Mappi
         index = pandas.MultiIndex.from_arrays([range(len(labels)), labels], names=["image", "label"])
         frames = {}
         for lens, classifier, seed in keys:
-            camera = None
+            pipeline = evaluation.CapturePipeline()
             if lens != SHARP:
                 path = results / "lenses" / lens / f"seed{seed}" / "psf.safetensors"
-                camera = PsfCamera.of(study.capture_of(lens), *psf_files.read(path, "grading"))
-            pipeline = evaluation.CapturePipeline(camera)
+                capture = study.capture_of(lens)
+                pipeline = evaluation.CapturePipeline.of(capture, path, "grading", photographs.device)
             correct = evaluation.evaluate(network, photographs, pipeline, f"{lens}, seed {seed}").correct
             frames[lens, classifier, seed] = pandas.DataFrame(correct.T.int().numpy(), index=index)
     return frames

@@ -84,7 +84,7 @@ def design(
         measure = criterion(part)
         micro_batch = settings.micro_batch
         if measure.trained or settings.batch_norm == "batch":  # batch norms use the statistics of the whole step
-            fields = len(problem.view_of_validation.fields)  # as many as in a step
+            fields = len(problem.view_of_step(0).fields)
             micro_batch = (part.batch_size or settings.batch_size) * fields
         options = part.size, settings.augment, micro_batch, part.centre, settings.grade, part.corner_weight
         return Supervisor(measure, problem, *options)

@@ -39,6 +39,6 @@ class Problem:
         return self.view.at(drawn_points(1, seed) if self.fields is None else self.fields)
 
     @property
-    def view_of_validation(self) -> View:
-        """View at the fields on which lenses of the design are compared: the fixed fields, or centres of cells."""
-        return self.view.at(self.fields or SELECTION)
+    def views_of_validation(self) -> list[View]:
+        """Views at the fields on which lenses of the design are compared; images take these sets in turns."""
+        return [self.view.at(fields) for fields in ([self.fields] if self.fields else SELECTION)]

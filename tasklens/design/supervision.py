@@ -239,36 +239,52 @@ class Supervisor:
     def fixed_losses(self, lens: Lens, pixels: float, part: slice) -> Tensor:
         """Compute the losses (N,) of a lens, or of lenses built from it, on a part of the images in fixed order.
 
-        For captures, N counts images, and a loss is the mean over fields. For rays and PSFs, N counts fields.
+        For captures, N counts images, and a loss is the mean over the fields whose turn it is. For rays and PSFs, N
+        counts all fields.
         Networks that draw random numbers, such as detectors that sample boxes, draw the same for every lens.
         """
         lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
         state = random_state()
         torch.manual_seed(self.problem.seed)
-        captured = isinstance(self.criterion, CaptureCriterion)
-        light = self.illumination(lens, self.problem.view_of_validation) if captured else None
-        losses = torch.stack([self._losses_on(part, built_lens, light, pixels) for built_lens in lenses]).mean(0)
+        views = self.problem.views_of_validation
+        if isinstance(self.criterion, CaptureCriterion):
+            indices = self.fixed_images(part)
+            noise = [torch.Generator().manual_seed(self.problem.seed) for _ in lenses]
+            losses = torch.empty(len(indices))
+            for turn, view in enumerate(views[: len(indices)]):
+                of_turn, light = indices[turn :: len(views)], self.illumination(lens, view)
+                options = view, light, pixels
+                values = [self._capture_losses(of_turn, *pair, *options) for pair in zip(lenses, noise, strict=True)]
+                losses[turn :: len(views)] = torch.stack(values).mean(0).to(losses)
+        else:
+            of_views = [torch.stack([self._ray_losses(each, view, pixels) for each in lenses]) for view in views]
+            losses = torch.cat(of_views, -1).mean(0)
         set_random_state(state)
         return losses
 
-    def _losses_on(self, part: slice, lens: Lens, light: Tensor | None, pixels: float) -> Tensor:
-        """Compute the losses (N,) of one lens at a relative illumination (F,), without augmentation."""
-        criterion, pupil = self.criterion, sobol_disc(_VALIDATION_RAYS, seed=0)
-        view = self.problem.view_of_validation
-        weights = self.weights(view)
+    def _ray_losses(self, lens: Lens, view: View, pixels: float) -> Tensor:
+        """Compute the losses (F,) of rays or PSFs, with many rays."""
+        criterion, pupil, weights = self.criterion, sobol_disc(_VALIDATION_RAYS, seed=0), self.weights(view)
         if isinstance(criterion, SpotRadius):
             return weights * criterion.losses(trace_fields(lens, view, pupil))
-        _, grid = self.trace(lens, view, pupil, pixels)
-        if isinstance(criterion, Contrast):
-            return weights * criterion.losses(grid, view.directions)
+        assert isinstance(criterion, Contrast)
+        return weights * criterion.losses(self.trace(lens, view, pupil, pixels)[1], view.directions)
+
+    def _capture_losses(
+        self, indices: Tensor, lens: Lens, noise: torch.Generator, view: View, light: Tensor | None, pixels: float
+    ) -> Tensor:
+        """Compute the losses (N,) of images at a relative illumination (F,), without augmentation.
+
+        Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch. Noise is drawn by
+        image, so independent of micro-batches.
+        """
+        criterion, weights = self.criterion, self.weights(view)
         assert isinstance(criterion, CaptureCriterion)
-        images, labels = self.images(self.fixed_images(part), augment=False)
-        capture = self.capture
-        camera = PsfCamera.of(capture, grid.to(images), light)
-        losses = []
-        # Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch.
+        images, labels = self.images(indices, augment=False)
+        _, grid = self.trace(lens, view, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
+        camera = PsfCamera.of(self.capture, grid.to(images), light)
         batch_size = max(1, self.micro_batch // len(grid))
-        noise = torch.Generator().manual_seed(self.problem.seed)  # drawn by image, so independent of micro-batches
+        losses = []
         with criterion.evaluating():
             for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
                 captures = camera.all_fields(batch, noise)

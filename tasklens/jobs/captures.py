@@ -48,7 +48,8 @@ def run(
     class_names = _class_names()
     captures: dict[tuple[str, bool], Tensor] = {(SHARP, False): sharp[:, None]}  # (image, field, 3, H, W)
     for lens, psf in zip(settings.captures, psfs, strict=True):
-        field_tensors = (tensor[list(FIELDS)].to(device) for tensor in psf_files.read(psf, "nine"))
+        grid, light, _ = psf_files.read(psf, "nine")
+        field_tensors = (tensor[list(FIELDS)].to(device) for tensor in (grid, light))
         camera = PsfCamera.of(settings.captures[lens], *field_tensors)
         captures[lens, False] = camera.all_fields(sharp, torch.Generator().manual_seed(0)).transpose(0, 1)
     for lens, path in zip(settings.restored, restorations, strict=True):

@@ -6,8 +6,6 @@ from pathlib import Path
 import torch
 
 from restoration import nafnet
-from tasklens.imaging import PsfCamera
-from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset, evaluation, training
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.checkpoints import Checkpoint
@@ -116,8 +114,6 @@ def _pipelines(
         if settings.capture is None:
             return CapturePipeline(None, network)
         assert psf is not None  # captures need the PSFs of a lens
-        tensors = (tensor.to(device) for tensor in psf_files.read(psf, fields))
-        turns = settings.turns if fields == "grading" else 1
-        return CapturePipeline(PsfCamera.of(settings.capture, *tensors), network, turns)
+        return CapturePipeline.of(settings.capture, psf, fields, device, network)
 
     return pipeline

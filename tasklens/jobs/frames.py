@@ -115,6 +115,8 @@ def _disagreements(
 
 def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor, number: int) -> Tensor:
     """Return the capture (3, H, W) of one image, with its number in the split, at the field of `settings`."""
-    of_turn = (tensor.chunk(settings.turns)[number % settings.turns] for tensor in psf_files.read(psf, "grading"))
-    camera = PsfCamera.of(settings.captures[lens], *(tensor[[settings.field]] for tensor in of_turn))
+    grid, light, turns = psf_files.read(psf, "grading")
+    k = number % turns
+    of_turn = (tensor.chunk(turns)[k][[settings.field]] for tensor in (grid, light))
+    camera = PsfCamera.of(settings.captures[lens], *of_turn)
     return camera.all_fields(images, torch.Generator().manual_seed(0))[0, 0]

@@ -18,15 +18,16 @@ _DRAWS, _DRAWS_OF_WAVES = 8, 2  # draws of nine fields for training; a PSF with 
 
 def run(settings: PsfJob, lens: Path, psf: Path) -> None:
     """Write the PSFs of all sets of fields; equal sets are stored once."""
-    drawn = drawn_points(_DRAWS_OF_WAVES if settings.diffraction else _DRAWS, settings.seed)
+    draws = _DRAWS_OF_WAVES if settings.diffraction else _DRAWS
+    drawn = drawn_points(draws, settings.seed).unflatten(0, (draws, -1))
     points, sets = torch.empty(0, 2, dtype=torch.float64), {}
-    ends: dict[object, tuple[int, int]] = {}
+    stored: dict[object, tuple[int, int, int]] = {}
     for name, fields in settings.sets.items():
-        if fields not in ends:
+        if fields not in stored:
             of_set = drawn if fields is None else torch.tensor(fields, dtype=torch.float64)
-            ends[fields] = len(points), len(points) + len(of_set)
-            points = torch.cat([points, of_set])
-        sets[name] = ends[fields]
+            stored[fields] = len(points), len(points) + of_set.shape[:2].numel(), len(of_set)
+            points = torch.cat([points, of_set.flatten(0, 1)])
+        sets[name] = stored[fields]
     view = view_of_spec(settings.spec).at(points)
     design = prescription.read(lens)[0].lens
     grid = evaluation_psf(design, view, settings.rays, diffraction=settings.diffraction)

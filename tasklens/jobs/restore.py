@@ -4,9 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from restoration import training
-from tasklens.imaging import PsfCamera
-from tasklens.optics.io import psf_files
 from tasklens.recognition import dataset
+from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_rows, write_tensors
@@ -24,13 +23,12 @@ def run(
 ) -> None:
     """Write the weights and the training history."""
     device = claim()
-    camera, validation_camera = (
-        PsfCamera.of(settings.capture, *(tensor.to(device) for tensor in psf_files.read(psf, fields)))
-        for fields in ("training", "selection")
+    pipeline, of_validation = (
+        CapturePipeline.of(settings.capture, psf, fields, device) for fields in ("training", "selection")
     )
     images, selection = (dataset.read(*split, device=device) for split in (train, minival))
-    splits = images, selection
-    cameras = camera, validation_camera
-    network, rows = training.train(settings.restoration, *splits, *cameras, settings.seed, checkpoint)
+    network, rows = training.train(
+        settings.restoration, images, selection, pipeline, of_validation, settings.seed, checkpoint
+    )
     write_rows(history, rows)
     write_tensors(weights, network.state_dict(), {})

@@ -5,8 +5,6 @@ from pathlib import Path
 
 import torch
 
-from tasklens.imaging import PsfCamera
-from tasklens.optics.io import psf_files
 from tasklens.recognition import object_tasks, objects, task_networks, training
 from tasklens.recognition.evaluation import CapturePipeline, scores
 from tasklens.runtime.checkpoints import Checkpoint
@@ -47,9 +45,7 @@ def fine_tune(
     pipelines = dict.fromkeys(("training", "grading"), CapturePipeline())
     for fields in pipelines if settings.capture is not None else ():
         assert settings.capture is not None and psf is not None  # captures need the PSFs of a lens
-        tensors = (tensor.to(device) for tensor in psf_files.read(psf, fields))
-        turns = settings.turns if fields == "grading" else 1
-        pipelines[fields] = CapturePipeline(PsfCamera.of(settings.capture, *tensors), turns=turns)
+        pipelines[fields] = CapturePipeline.of(settings.capture, psf, fields, device)
     training_task, test_task = (
         object_tasks.make(settings.name, settings.network, split) for split in (training_images, test_images)
     )

@@ -13,7 +13,7 @@ import torch
 from timm.data import ImageNetInfo
 from torch import Tensor, nn
 
-from tasklens.fields import GRADED, GRADING, PAPER, QUARTERS
+from tasklens.fields import GRADING, GRADING_CENTRES, PAPER
 from tasklens.imaging import PsfCamera
 from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.datasheet import means
@@ -129,7 +129,7 @@ def rank(
     if not isinstance(network, nn.Module):
         raise InputError(f"rank: expected a torch.nn.Module, got {type(network).__name__}")
     for name, (lens, view) in lenses.items():
-        _check_light(name, lens, view.at(GRADED))
+        _check_light(name, lens, view.at(sum(GRADING, ())))
     subject = on_sharp_images(network, dataset, outputs)
     try:
         better_than_guessing(subject.accuracy, len(dataset), subject.outputs)
@@ -188,7 +188,7 @@ def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, ra
     """Return the ranking of lenses for a network."""
     correct, at_nine = {}, {}
     for name, (lens, view) in lenses.items():
-        correct[name], inside = _correct(subject, lens, view.at(GRADED), rays, name, len(QUARTERS))
+        correct[name], inside = _correct(subject, lens, view.at(sum(GRADING, ())), rays, name, len(GRADING))
         if remark := window_remark(inside, view.kernel_size):
             warnings.warn(f"rank: {name}: {remark}", stacklevel=4)
         at_nine[name], _ = _correct(subject, lens, view.at(PAPER), rays, name)
@@ -199,7 +199,7 @@ def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, ra
     for place in ranks:
         lens, view = lenses[place.lens]
         field_of_view = 2 * degrees(atan(float(view.radii.max()) / view.efl))
-        rms_um = means(lens, view.at(GRADING), rays)["rms_spot_um"]
+        rms_um = means(lens, view.at(GRADING_CENTRES), rays)["rms_spot_um"]
         f_number = float(paraxial(lens.detached(), view.reference_um).f_number)
         rows.append(report.row(place, place.lens, at_nine[place.lens], f_number, field_of_view, rms_um))
         drawings[place.lens] = section_svg(lens.detached(), view)

@@ -3,22 +3,23 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.fields import CELLS
 from tasklens.imaging import PsfCamera, psnr
+from tasklens.optics.io import psf_files
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 from tasklens.sensor import noise
+from tasklens.study.settings import CaptureSettings
 
 _WORST = 0.01  # fraction of images with the lowest PSNR, averaged in `worst_psnr_db`
-_DRAW = CELLS**2  # fields of a draw
 _BATCH = 64  # images per rendering, and captures per forward pass
 
 
@@ -26,23 +27,30 @@ _BATCH = 64  # images per rendering, and captures per forward pass
 class CapturePipeline:
     """Optional camera, then optional restoration, applied to images before a classifier.
 
-    For training, the fields of the camera are draws of nine.
-
     Attributes:
-        turns: number of sets of as many fields; for tests image i is captured at those of the set i modulo `turns`.
+        turns: number of equal parts of the fields; a step of training draws one of them, and in tests image i is
+            captured at the fields of part i modulo `turns`.
     """
 
     camera: PsfCamera | None = None
     restoration: nn.Module | None = None
     turns: int = 1
 
+    @classmethod
+    def of(
+        cls, capture: CaptureSettings, psf: Path, fields: str, device: torch.device, network: nn.Module | None = None
+    ) -> "CapturePipeline":
+        """Build the pipeline of a lens from its stored PSFs at a set of fields, and a restoration `network`."""
+        grid, light, turns = psf_files.read(psf, fields)
+        return cls(PsfCamera.of(capture, grid.to(device), light.to(device)), network, turns)
+
     def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:
-        """Return captures of a share of images (B, 3, H, W) in [0, 1] at random fields of one draw, for training."""
+        """Return captures of a share of images (B, 3, H, W) in [0, 1] at random fields of one part, for training."""
         if self.camera is None:
             return self._restored(images[share])
-        draws = len(self.camera.psf) // _DRAW
-        first = _DRAW * int(torch.randint(draws, (), generator=generator)) if draws > 1 else 0
-        fields = first + torch.randint(_DRAW, (len(images),), generator=generator)
+        count = len(self.camera.psf) // self.turns
+        first = count * int(torch.randint(self.turns, (), generator=generator)) if self.turns > 1 else 0
+        fields = first + torch.randint(count, (len(images),), generator=generator)
         pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)[share]
         return self._restored(self.camera(images[share], fields[share], pixel_noise))
 

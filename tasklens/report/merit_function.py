@@ -19,6 +19,7 @@ from scipy.optimize import nnls
 
 from tasklens.imaging import PsfCamera
 from tasklens.optics.io import psf_files
+from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish
 from tasklens.runtime.files import FileError, replacing
@@ -40,6 +41,12 @@ def modulation(psf: numpy.ndarray) -> numpy.ndarray:
     mtf = abs(numpy.fft.fft2(psf)).mean(1)
     bands = [(radius > low) & (radius <= high) for low, high in pairwise(BANDS)]
     return numpy.stack([mtf[:, band].mean(-1) for band in bands], -1)
+
+
+def _mean_modulation(stored: FieldPsfs, outside_window: str) -> numpy.ndarray:
+    """Compute the modulation (N, B) of stored PSFs, the mean over turns, as losses are means over images."""
+    grid = PsfCamera(stored.psf, outside_window=outside_window).psf.double().numpy()
+    return modulation(grid).reshape(stored.turns, -1, len(BANDS) - 1).mean(0)
 
 
 @dataclass(frozen=True)
@@ -89,9 +96,8 @@ def make(
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
-    stored = (psf_files.read(path, "selection").psf for path in psfs)
-    grids = (PsfCamera(psf, outside_window=settings.outside_window).psf for psf in stored)
-    modulations = numpy.concatenate([modulation(grid.double().numpy()) for grid in grids])
+    stored = (psf_files.read(path, "selection") for path in psfs)
+    modulations = numpy.concatenate([_mean_modulation(part, settings.outside_window) for part in stored])
     fields = len(modulations) // len(keys)
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together
     losses = {

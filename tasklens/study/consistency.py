@@ -63,7 +63,7 @@ def _check_names(study: Study) -> None:
 
 def _check_fields(study: Study) -> None:
     """Check that sets of fields reach from axis to corner, and that lenses are graded where nothing was chosen."""
-    grading = study.fields.graded_points
+    grading = sum(study.fields.graded_points, ())
     fields.check_set(grading, study.spec.aspect, "fields.grading")
     seen = {"fields.design": study.fields.design_points}
     for where, lens in lenses_with_keys(study):
@@ -75,7 +75,7 @@ def _check_fields(study: Study) -> None:
             if study.fields.grading != "paper":
                 fields.check_unseen(grading, points, where)
     if study.fields.grading != "paper":
-        fields.check_unseen(grading, SELECTION, "the choice among lenses")
+        fields.check_unseen(grading, sum(SELECTION, ()), "the choice among lenses")
 
 
 def _check_references(study: Study, where: str, design: DesignSettings | ImportedLens) -> None:

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from tasklens.fields import CORNER, GRADING, PAPER, QUARTERS, SELECTION, Points
+from tasklens.fields import CORNER, GRADING, GRADING_CENTRES, PAPER, SELECTION, Points
 from tasklens.study.frozen import Frozen
 
 NAMED = ("sensor", "paper")  # sets that have a name
@@ -70,17 +70,12 @@ class FieldSettings(Frozen):
     @property
     def grading_points(self) -> Points:
         """Fields of the test images, or the centres of their cells."""
-        return points(self.grading) or GRADING
+        return points(self.grading) or GRADING_CENTRES
 
     @property
-    def turns(self) -> tuple[Points, ...]:
+    def graded_points(self) -> tuple[Points, ...]:
         """Fields that the test images take in turns: image i those with the number i modulo the number of turns."""
-        return QUARTERS if self.grading == "sensor" else (self.grading_points,)
-
-    @property
-    def graded_points(self) -> Points:
-        """All fields of the test images, turn by turn."""
-        return sum(self.turns, ())
+        return GRADING if self.grading == "sensor" else (self.grading_points,)
 
     @property
     def halfway(self) -> int:
@@ -88,22 +83,25 @@ class FieldSettings(Frozen):
         fields = self.grading_points
         return min(range(len(fields)), key=lambda k: hypot(fields[k][0] - 0.5, fields[k][1] - 0.5))
 
-    def sets(self, design: Points | None) -> dict[str, Points | None]:
-        """Return the sets of fields at which the PSFs of a lens are needed; None: drawn uniformly in area.
+    def sets(self, design: Points | None) -> dict[str, tuple[Points, ...] | None]:
+        """Return the sets of fields at which the PSFs of a lens are needed, by turns; None: drawn uniformly in area.
 
         Args:
             design: fields of the losses of its design.
         """
         if self.grading == "paper":
-            nine: dict[str, Points | None] = dict.fromkeys(("training", "selection", "grading", "nine"), PAPER)
-            return nine | {"corner": CORNER}
-        sets: dict[str, Points | None] = {
+            nine: dict[str, tuple[Points, ...] | None] = dict.fromkeys(
+                ("training", "selection", "grading", "nine"), (PAPER,)
+            )
+            return nine | {"corner": (CORNER,)}
+        sets: dict[str, tuple[Points, ...] | None] = {
             "training": None,
             "selection": SELECTION,
             "grading": self.graded_points,
-            "nine": PAPER,
+            "nine": (PAPER,),
+            "corner": (CORNER,),
         }
-        return sets | {"corner": CORNER} | ({} if design in (None, PAPER) else {"design": design})
+        return sets if design is None or design == PAPER else sets | {"design": (design,)}
 
     def graded(self, design: Points | None) -> dict[str, str]:
         """Return the sets of fields at which a lens is graded, by metric; `design` as in `sets`."""

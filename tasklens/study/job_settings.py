@@ -66,7 +66,7 @@ class PsfJob(Frozen):
     Attributes:
         diffraction: whether they include diffraction.
         sensor: whether captures have a sensor, which needs the relative illumination.
-        sets: fields by set, fractions of the sensor; None: drawn uniformly in area.
+        sets: fields by set and turn, fractions of the sensor; None: drawn uniformly in area.
         seed: seed of the fields that are drawn.
     """
 
@@ -74,7 +74,7 @@ class PsfJob(Frozen):
     rays: int
     diffraction: bool
     sensor: bool
-    sets: dict[str, Points | None]
+    sets: dict[str, tuple[Points, ...] | None]
     seed: int
 
     @classmethod
@@ -104,31 +104,19 @@ class RestorationJob(Frozen):
 
 
 class CapturePipelineSettings(Frozen):
-    """Settings of a classifier's input: captures of a lens (None: sharp images), restored or not (None).
-
-    Attributes:
-        turns: number of sets of fields that test images take in turns.
-    """
+    """Settings of a classifier's input: captures of a lens (None: sharp images), restored or not (None)."""
 
     capture: CaptureSettings | None
     restoration: RestorationSettings | None
-    turns: int
 
 
 def _pipeline(study: Study, lens: str, restored: bool) -> dict[str, Any]:
     if restored and lens == SHARP:
         raise StudyError(f"{SHARP} images are not restored; expected a classifier without -restored")
-    capture = None if lens == SHARP else study.capture_of(lens)
     return {
-        "capture": capture,
+        "capture": None if lens == SHARP else study.capture_of(lens),
         "restoration": study.restoration if restored else None,
-        "turns": turns(study, lens),
     }
-
-
-def turns(study: Study, lens: str) -> int:
-    """Return the number of sets of fields that test images take in turns; sharp images have no fields."""
-    return 1 if lens == SHARP else len(study.fields.turns)
 
 
 def lens_columns(study: Study, lens: str) -> dict[str, Any]:

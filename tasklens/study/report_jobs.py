@@ -83,15 +83,13 @@ class FramesJob(Frozen):
     comparison: ComparisonJob
     captures: dict[str, CaptureSettings]
     field: int
-    turns: int
 
     @classmethod
     def of(cls, study: Study, elements: str, seed: int) -> "FramesJob":
         """Return the settings of the job."""
         comparison = ComparisonJob.of(study, elements, seed)
         captures = {lens: study.capture_of(lens) for lens in comparison.lenses}
-        fields = {"field": study.fields.halfway, "turns": len(study.fields.turns)}
-        return cls(comparison=comparison, captures=captures, **fields)
+        return cls(comparison=comparison, captures=captures, field=study.fields.halfway)
 
 
 class CapturesJob(Frozen):

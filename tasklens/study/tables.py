@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from tasklens.fields import GRADING, PAPER
+from tasklens.fields import GRADING_CENTRES, PAPER
 from tasklens.study import names
 from tasklens.study.design_settings import GradientDesignSettings
 from tasklens.study.lens_entries import LensDesign
@@ -138,7 +138,7 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         starts=starts(study, lens),
         candidates=candidates(study, lens),
         fields=study.design_points(lens),
-        averaged=PAPER if study.fields.grading == "paper" else GRADING,
+        averaged=PAPER if study.fields.grading == "paper" else GRADING_CENTRES,
         rays=study.evaluation_rays,
         seed=(seed + _SEEDS * study.images.seed) % 2**31,
     )

@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from tasklens.study.job_settings import lens_columns, source, turns
+from tasklens.study.job_settings import lens_columns, source
 from tasklens.study.names import SHARP
 from tasklens.study.settings import CaptureSettings, Frozen
 from tasklens.study.study import Study, StudyError
@@ -40,7 +40,6 @@ class TaskFineTuningJob(Frozen):
     name: str
     network: TaskSettings
     capture: CaptureSettings | None
-    turns: int
     columns: dict[str, Any]
     seed: int
 
@@ -49,8 +48,7 @@ class TaskFineTuningJob(Frozen):
         """Return the settings of the job."""
         capture = None if lens == SHARP else study.capture_of(lens)
         columns = lens_columns(study, lens) | {"task": task, "seed": seed}
-        network, of_lens = study.task(task), turns(study, lens)
-        return cls(name=task, network=network, capture=capture, turns=of_lens, columns=columns, seed=seed)
+        return cls(name=task, network=study.task(task), capture=capture, columns=columns, seed=seed)
 
 
 class TaskKey(NamedTuple):

@@ -14,21 +14,22 @@ _TENSORS = ("psf", "illumination")
 
 
 class FieldPsfs(NamedTuple):
-    """PSFs (F, 3, K, K) and relative illumination (F,) of F fields."""
+    """PSFs (F, 3, K, K) and relative illumination (F,) of F fields, which images take in `turns` equal parts."""
 
     psf: Tensor
     illumination: Tensor
+    turns: int = 1
 
 
-def write(path: Path, psfs: FieldPsfs, sets: Mapping[str, tuple[int, int]], notes: Mapping[str, Any]) -> None:
+def write(path: Path, psfs: FieldPsfs, sets: Mapping[str, tuple[int, int, int]], notes: Mapping[str, Any]) -> None:
     """Write PSFs in float32.
 
     Args:
-        sets: first field of each set, and the one after its last.
+        sets: first field of each set, the one after its last, and the number of turns.
         notes: notes, which include `fields_mm`.
     """
-    tensors = {name: tensor.float() for name, tensor in psfs._asdict().items()}
-    write_tensors(path, tensors, {**notes, "sets": {name: list(ends) for name, ends in sets.items()}})
+    tensors = {name: getattr(psfs, name).float() for name in _TENSORS}
+    write_tensors(path, tensors, {**notes, "sets": {name: list(part) for name, part in sets.items()}})
 
 
 def read(path: Path, fields: str) -> FieldPsfs:
@@ -52,5 +53,5 @@ def read(path: Path, fields: str) -> FieldPsfs:
         raise damaged(path, "PSFs that are negative, not finite or of more than all the light")
     if not (torch.isfinite(illumination).all() and illumination.min() >= 0):
         raise damaged(path, "an illumination that is negative or not finite")
-    part = slice(*sets[fields])
-    return FieldPsfs(psf[part], illumination[part])
+    first, end, turns = sets[fields]
+    return FieldPsfs(psf[first:end], illumination[first:end], turns)
