@@ -16,9 +16,12 @@ from tasklens.design import production
 from tasklens.design.production import Production
 from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis import focus
+from tasklens.optics.analysis.spots import evaluation_psf
+from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing.errors import draw, errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.pipeline.outcome import outcome
+from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.report import tolerance_page, tolerances
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.study.loading import parse
@@ -35,9 +38,14 @@ def contrast(captures: torch.Tensor) -> torch.Tensor:
     return torch.stack([0 * deviation, 100 * (deviation - 0.062)], -1)
 
 
-def production_of(tolerances: Grade) -> Production:
-    lens, view = doublet()
-    return Production(lens, view, errors(lens, tolerances), PsfCamera, contrast)
+def production_of(tolerances: Grade, lens: Lens | None = None) -> Production:
+    doublet_lens, view = doublet()
+    lens = doublet_lens if lens is None else lens
+
+    def pipeline(built: Lens) -> CapturePipeline:
+        return CapturePipeline(PsfCamera(evaluation_psf(built, view, production.RAYS)))
+
+    return Production(lens, view, errors(lens, tolerances), pipeline, contrast)
 
 
 def test_the_design_comes_first_and_errors_cost_sharpness():
@@ -104,9 +112,8 @@ def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, m
 
 def test_a_lens_without_light_is_counted():
     """An aperture that is decentred by more than its width: captures are grey, and the lens has failed."""
-    lens, view = doublet()
-    lens = replace(lens, semi_diameter=f64([0.5, 0.6, 0.6, 0.8, 0.8]))
-    process = Production(lens, view, errors(lens, grade(element_decentre_um=1000.0)), PsfCamera, contrast)
+    lens = replace(doublet()[0], semi_diameter=f64([0.5, 0.6, 0.6, 0.8, 0.8]))
+    process = production_of(grade(element_decentre_um=1000.0), lens)
     rows = production.built_lenses(process, 20, 0, IMAGES)
     failed = [row for row in rows if row["failed"]]
     assert 0 < len(failed) < 20 and not rows[0]["failed"]

@@ -7,11 +7,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import Error, draw, with_errors
@@ -20,7 +19,7 @@ from tasklens.recognition.evaluation import CapturePipeline, classify
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 
-_RAYS = 1024  # rays per field and colour of a built lens
+RAYS = 1024  # rays per field and colour of a built lens
 _ALLOWED_POINTS = 1.0  # largest loss of accuracy by which tolerances are allotted [points]
 
 Images = tuple[Tensor, Tensor]  # images (N, 3, H, W) in [0, 1], and their labels (N,)
@@ -32,16 +31,16 @@ class Production:
 
     Attributes:
         lens: the design.
-        view: fields, wavelengths and pixels.
+        view: fields, wavelengths and pixels of focus and spots.
         errors: P errors of a built lens.
-        camera: returns the camera of PSFs (F, 3, K, K).
+        pipeline: returns the capture pipeline of a lens.
         classifier: function from captures (B, 3, H, W) to logits (B, C).
     """
 
     lens: Lens
     view: View
     errors: Sequence[Error]
-    camera: Callable[[Tensor], PsfCamera]
+    pipeline: Callable[[Lens], CapturePipeline]
     classifier: Callable[[Tensor], Tensor]
 
     def build(self, fractions: Tensor, peak: Tensor) -> tuple[Lens, Tensor]:
@@ -50,15 +49,14 @@ class Production:
 
     def accuracy(self, lens: Lens, images: Images) -> tuple[Tensor, float]:
         """Return the accuracy (F,) of each field [%], and the mean cross-entropy."""
-        pipeline = CapturePipeline(self.camera(evaluation_psf(lens, self.view, _RAYS)))
         sharp, labels = images
-        correct, _, losses = classify(self.classifier, pipeline.all_fields(sharp), labels)
+        correct, _, losses = classify(self.classifier, self.pipeline(lens).all_fields(sharp), labels)
         return 100 * correct.double().mean(-1), float(losses.mean())
 
     def measure(self, lens: Lens, images: Images) -> dict[str, Any]:
         """Measure a lens; `failed` is 1 if a field gets no light; the lens is measured anyway."""
         fields, loss = self.accuracy(lens, images)
-        rays = trace_fields(lens, self.view, sobol_disc(_RAYS, seed=0))
+        rays = trace_fields(lens, self.view, sobol_disc(RAYS, seed=0))
         mtf = torch.stack(geometric_mtf(rays, self.view.directions, [focus.frequency(self.view)]))
         return {
             "accuracy": float(fields.mean()),

@@ -7,6 +7,7 @@ batch statistics, it is exact for one micro-batch per step.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -248,19 +249,12 @@ class Supervisor:
         torch.manual_seed(self.problem.seed)
         views = self.problem.views_of_validation
         if isinstance(self.criterion, CaptureCriterion):
-            indices = self.fixed_images(part)
-            noise = [torch.Generator().manual_seed(self.problem.seed) for _ in lenses]
-            losses = torch.empty(len(indices))
-            for turn, view in enumerate(views[: len(indices)]):
-                of_turn, light = indices[turn :: len(views)], self.illumination(lens, view)
-                options = view, light, pixels
-                values = [self._capture_losses(of_turn, *pair, *options) for pair in zip(lenses, noise, strict=True)]
-                losses[turn :: len(views)] = torch.stack(values).mean(0).to(losses)
+            lights = [self.illumination(lens, view) for view in views]
+            losses = [self._capture_losses(part, built_lens, views, lights, pixels) for built_lens in lenses]
         else:
-            of_views = [torch.stack([self._ray_losses(each, view, pixels) for each in lenses]) for view in views]
-            losses = torch.cat(of_views, -1).mean(0)
+            losses = [torch.cat([self._ray_losses(each, view, pixels) for view in views]) for each in lenses]
         set_random_state(state)
-        return losses
+        return torch.stack(losses).mean(0)
 
     def _ray_losses(self, lens: Lens, view: View, pixels: float) -> Tensor:
         """Compute the losses (F,) of rays or PSFs, with many rays."""
@@ -271,24 +265,29 @@ class Supervisor:
         return weights * criterion.losses(self.trace(lens, view, pupil, pixels)[1], view.directions)
 
     def _capture_losses(
-        self, indices: Tensor, lens: Lens, noise: torch.Generator, view: View, light: Tensor | None, pixels: float
+        self, part: slice, lens: Lens, views: Sequence[View], lights: Sequence[Tensor | None], pixels: float
     ) -> Tensor:
-        """Compute the losses (N,) of images at a relative illumination (F,), without augmentation.
+        """Compute the losses (N,) of images that take the views in turns, without augmentation.
 
-        Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch. Noise is drawn by
-        image, so independent of micro-batches.
+        Args:
+            lights: relative illumination (F,) of each view.
         """
-        criterion, weights = self.criterion, self.weights(view)
+        criterion, indices = self.criterion, self.fixed_images(part)
         assert isinstance(criterion, CaptureCriterion)
-        images, labels = self.images(indices, augment=False)
-        _, grid = self.trace(lens, view, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
-        camera = PsfCamera.of(self.capture, grid.to(images), light)
-        batch_size = max(1, self.micro_batch // len(grid))
-        losses = []
-        with criterion.evaluating():
-            for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
-                captures = camera.all_fields(batch, noise)
-                sharp, targets = (torch.cat([values] * len(grid)) for values in (batch, batch_labels))
-                loss = criterion.losses(captures.flatten(0, 1), sharp, targets)
-                losses.append((weights.to(loss)[:, None] * loss.reshape(len(grid), -1)).mean(0))
-        return torch.cat(losses)
+        noise = torch.Generator().manual_seed(self.problem.seed)  # drawn by image, so independent of micro-batches
+        losses = torch.empty(len(indices))
+        for turn, (view, light) in enumerate(zip(views[: len(indices)], lights, strict=False)):
+            images, labels = self.images(indices[turn :: len(views)], augment=False)
+            _, grid = self.trace(lens, view, sobol_disc(_VALIDATION_RAYS, seed=0), pixels)
+            camera, weights = PsfCamera.of(self.capture, grid.to(images), light), self.weights(view).to(images)
+            # Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch.
+            batch_size = max(1, self.micro_batch // len(grid))
+            of_turn = []
+            with criterion.evaluating():
+                for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
+                    captures = camera.all_fields(batch, noise)
+                    sharp, targets = (torch.cat([values] * len(grid)) for values in (batch, batch_labels))
+                    of_batch = criterion.losses(captures.flatten(0, 1), sharp, targets).reshape(len(grid), -1)
+                    of_turn.append((weights[:, None] * of_batch).mean(0))
+            losses[turn :: len(views)] = torch.cat(of_turn).to(losses)
+        return losses

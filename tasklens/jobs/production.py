@@ -9,13 +9,16 @@ from tasklens.design import production
 from tasklens.design.production import Images, Production
 from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.illumination import relative_illumination
+from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
+from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition import classifiers, dataset
 from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.report import tolerance_page
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
@@ -40,20 +43,20 @@ def run(
     """Write a row for the design and each built lens, a row for each error, and a page that shows both."""
     device = claim()
     tolerances = settings.tolerances
-    nominal, view = prescription.read(lens)[0].lens, view_of_spec(settings.spec).at(settings.grading)
+    nominal, view = prescription.read(lens)[0].lens, view_of_spec(settings.spec).at(settings.centres)
+    graded = view.at(sum(settings.grading, ()))
     images, selection = (dataset.read(*split, device=device) for split in (test, minival))
     network = classifiers.build(settings.classifier, images.classes, weights).to(device)
     classifier = classifiers.frozen(network, images.images)
     illumination = None
     if settings.capture.sensor is not None:  # it takes seconds
-        illumination = relative_illumination(nominal, view).to(device)
-    model = Production(
-        nominal,
-        view,
-        errors(nominal, tolerances.grade),
-        lambda grid: PsfCamera.of(settings.capture, grid.to(device), illumination),
-        classifier,
-    )
+        illumination = relative_illumination(nominal, graded).to(device)
+
+    def pipeline(lens: Lens) -> CapturePipeline:
+        grid = evaluation_psf(lens, graded, production.RAYS).to(device)
+        return CapturePipeline(PsfCamera.of(settings.capture, grid, illumination), turns=len(settings.grading))
+
+    model = Production(nominal, view, errors(nominal, tolerances.grade), pipeline, classifier)
     test_images = _images(images, tolerances.images)
     displacements_um = displacements(nominal, view, model.errors, _RAYS)
     rows = production.built_lenses(model, tolerances.lenses, settings.seed, test_images, checkpoint)

@@ -9,10 +9,10 @@ import pandas
 from tasklens.report.publish import publish
 
 _NOTE = """\
-Study `{study}`. Means over the fields of the grading, of rays about the image point of the chief ray, on which PSFs are
-centred. The core holds 50 % of the light that passes the clear apertures; the tail is outside three core radii. The RMS
-spot is about the chief ray (in table 1 about the centroid). A sharp core with a long tail has a large ratio of RMS to
-core radius: 1 for a uniform disc, 1.2 for a Gaussian spot."""
+Study `{study}`. Means over the centres of the cells of the grading, of rays about the image point of the chief ray, on
+which PSFs are centred. The core holds 50 % of the light that passes the clear apertures; the tail is outside three core
+radii. The RMS spot is about the chief ray (in table 1 about the centroid). A sharp core with a long tail has a large
+ratio of RMS to core radius: 1 for a uniform disc, 1.2 for a Gaussian spot."""
 
 
 Rows = Sequence[Mapping[str, Any]]

@@ -8,12 +8,18 @@ from tasklens.study.tolerance_settings import ToleranceSettings
 
 
 class ProductionJob(Frozen):
-    """Lenses of a design, built in simulation with manufacturing errors; `grading` are the fields of their images."""
+    """Lenses of a design, built in simulation with manufacturing errors.
+
+    Attributes:
+        centres: fields of focus and spots, the centres of the cells of the grading.
+        grading: fields of the images, which take them in turns.
+    """
 
     lens: str
     seed: int
     spec: Spec
-    grading: Points
+    centres: Points
+    grading: tuple[Points, ...]
     capture: CaptureSettings
     classifier: ClassifierSettings
     tolerances: ToleranceSettings
@@ -26,7 +32,8 @@ class ProductionJob(Frozen):
             lens=lens,
             seed=seed,
             spec=study.lens_spec(lens),
-            grading=study.fields.grading_points,
+            centres=study.fields.grading_points,
+            grading=study.fields.graded_points,
             capture=study.capture_of(lens),
             classifier=study.network(study.supervisor),
             tolerances=study.tolerances.model_copy(update={"designs": None}),

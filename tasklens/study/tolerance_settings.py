@@ -106,7 +106,7 @@ class ToleranceSettings(Frozen):
     lenses: Annotated[Count, Field(ge=10, le=10**6)] = Field(200, description="Number of lenses built per design.")
     images: Annotated[Count, Field(ge=10)] = Field(
         100,
-        description="Number of test images that measure a built lens, each at the centres of all cells of the grading.",
+        description="Number of test images that measure a built lens, each at one field of every cell of the grading.",
     )
     designs: tuple[str, ...] | None = Field(
         None,
