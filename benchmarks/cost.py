@@ -19,10 +19,10 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from restoration.nafnet import build
 from tasklens.recognition.classifiers import Classifier
+from tasklens.settings.design_settings import GradientDesignSettings
+from tasklens.settings.names import SHARP
+from tasklens.settings.network_settings import ClassifierSettings
 from tasklens.study import loading
-from tasklens.study.design_settings import GradientDesignSettings
-from tasklens.study.names import SHARP
-from tasklens.study.settings import ClassifierSettings
 from tasklens.study.study import Study
 from tasklens.study.tables import tables
 

@@ -32,8 +32,10 @@ from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.job import keep_memory
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
-from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Constraints, Spec
 
 NETWORK = {"layers": [1, 1, 1, 1], "channels": [16, 32, 64, 128], "stem_type": "deep", "stem_width": 16}
 STEPS = 1000  # of a job: some minutes

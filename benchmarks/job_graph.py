@@ -10,7 +10,7 @@ from scheduling import Job
 from tasklens.pipeline.changes import PlannedJob
 from tasklens.pipeline.forecast import elsewhere
 from tasklens.runtime.checkpoints import INTERVAL
-from tasklens.study import names
+from tasklens.settings import names
 from tasklens.study.parts import whole_study_name
 from tasklens.study.study import Study
 

@@ -22,8 +22,9 @@ from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
-from tasklens.study.settings import CaptureSettings, Constraints, Spec
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.specification import Constraints, Spec
 
 LIMIT_GIB = 12  # a step that needs more memory fails without disturbing the machine
 

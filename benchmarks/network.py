@@ -31,8 +31,10 @@ from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import fit, parameter_groups
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
-from tasklens.study.settings import CaptureSettings, Constraints, Spec, TrainingSettings
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Constraints, Spec
 
 FIELDS = 9
 

@@ -31,10 +31,11 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.design_settings import DescentSettings
-from tasklens.study.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import DescentSettings
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.specification import Constraints, Spec
 from tasklens.study.loading import parse
-from tasklens.study.settings import CaptureSettings, Constraints, Spec
 
 STUDY = Path(__file__).parents[1] / "config" / "config.yaml"
 OPTICS = ("rays, PSFs, limits", "their backward", "captures and their backward")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from tasklens.study.settings import RankingSettings
+from tasklens.study.ranking_settings import RankingSettings
 from tasklens.study.study import Study
 
 ROOT = Path(__file__).parents[1]

@@ -14,7 +14,8 @@ from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import drawn_points, view_of_spec
 from tasklens.recognition import scenes, training
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.settings import Constraints, Spec, TrainingSettings
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Constraints, Spec
 
 LIMITS = Constraints()
 

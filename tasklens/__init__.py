@@ -49,7 +49,7 @@ _MODULES = {  # of names that are not in tasklens.notebook
     "Lens": "tasklens.optics.lens",
     "PsfCamera": "tasklens.imaging",
     "Ranking": "tasklens.notebook.ranking",
-    "SensorSettings": "tasklens.study.settings",
+    "SensorSettings": "tasklens.settings.capture_settings",
     "View": "tasklens.optics.view",
 }
 

@@ -18,7 +18,7 @@ from tasklens.runtime.devices import send
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import as_tensor, explained
 from tasklens.sensor import expose, noise
-from tasklens.study.settings import CaptureSettings, SensorSettings
+from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 
 _IMAGES = 16  # images per block on a CPU
 

@@ -6,7 +6,7 @@ import torch
 from kornia.color import linear_rgb_to_rgb
 from torch import Tensor
 
-from tasklens.study.settings import SensorSettings
+from tasklens.settings.capture_settings import SensorSettings
 
 
 def noise(shape: Sequence[int], generator: torch.Generator) -> Tensor:

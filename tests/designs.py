@@ -10,8 +10,9 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import frozen
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import DescentSettings, LearningRates
-from tasklens.study.settings import CaptureSettings, Constraints, Spec
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import DescentSettings, LearningRates
+from tasklens.settings.specification import Constraints, Spec
 
 SPEC, LIMITS = Spec(kernel_size=11), Constraints()
 VIEW = view_of_spec(SPEC)

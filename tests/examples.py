@@ -19,8 +19,9 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.report.measurements import Measurements
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import GradientDesignSettings
-from tasklens.study.settings import Spec, TrainingSettings
+from tasklens.settings.design_settings import GradientDesignSettings
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Spec
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 

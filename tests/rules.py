@@ -16,7 +16,8 @@ from snakemake.settings.types import ConfigSettings, OutputSettings, Quietness, 
 from snakemake.workflow import Workflow
 
 from tasklens.runtime import job
-from tasklens.study import claims, names, tables
+from tasklens.settings import names
+from tasklens.study import claims, tables
 from tasklens.study.loading import at_points, parse
 from tasklens.study.study import TABLES, Study
 

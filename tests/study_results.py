@@ -5,7 +5,7 @@ import pandas
 import yaml
 from examples import lens_file, measurement, write
 
-from tasklens.study.names import SHARP, measured
+from tasklens.settings.names import SHARP, measured
 
 IMAGES, FIELDS = 200, 9
 

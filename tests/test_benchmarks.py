@@ -9,7 +9,7 @@ from examples import make_lens
 
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius
-from tasklens.study.settings import ClassifierSettings
+from tasklens.settings.network_settings import ClassifierSettings
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import tasklens
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.view import drawn_points
 from tasklens.runtime.errors import InputError
-from tasklens.study.settings import SensorSettings
+from tasklens.settings.capture_settings import SensorSettings
 
 SMALL = [  # the stop is in front, so ray aiming does not depend on the lens
     {"radius": float("inf"), "thickness": 0.1, "stop": True},

@@ -20,8 +20,8 @@ from tasklens.runtime import checkpoints
 from tasklens.runtime import job as runtime_job
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError, read_tensors, remove_abandoned
+from tasklens.settings.network_settings import TrainingSettings
 from tasklens.study.loading import parse
-from tasklens.study.settings import TrainingSettings
 
 STUDY = changed(tiny_study(), "designs.tasklens.augment", True)  # draws from torch's own generator
 # Wide limits: the repair of a finished lens has no checkpoint, and would take most of the time.

@@ -6,7 +6,7 @@ from examples import write
 
 from tasklens.report.chosen_images import choose
 from tasklens.runtime.files import FileError
-from tasklens.study.names import SHARP
+from tasklens.settings.names import SHARP
 
 LABELS = ["cat", "dog", "dog", "owl", "fox", "cat"]
 CORRECT = {

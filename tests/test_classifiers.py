@@ -16,11 +16,11 @@ from torch import nn
 from tasklens.pipeline import checks
 from tasklens.recognition import classifiers, evaluation, folders, networks
 from tasklens.recognition import dataset as data
+from tasklens.runtime import user_code
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
-from tasklens.study import user_code
+from tasklens.settings.network_settings import ClassifierSettings, TrainingSettings
 from tasklens.study.loading import parse
-from tasklens.study.settings import ClassifierSettings, TrainingSettings
 
 SHARED = Path(__file__).parents[2] / "shared"
 

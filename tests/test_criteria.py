@@ -15,8 +15,8 @@ from tasklens.design.supervision import Supervisor
 from tasklens.fields import SELECTION
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition.tasks import Classification
-from tasklens.study.design_settings import DescentSettings
-from tasklens.study.settings import Spec
+from tasklens.settings.design_settings import DescentSettings
+from tasklens.settings.specification import Spec
 
 KERNEL = 21
 UP, SLANTED = f64([[0.0, 1.0]]), f64([[0.6, 0.8]])

@@ -18,9 +18,9 @@ from tasklens.recognition import folders
 from tasklens.runtime import checkpoints, files
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError
+from tasklens.settings.image_settings import ImageSettings
+from tasklens.settings.names import SPLITS
 from tasklens.study.job_settings import folder_digest
-from tasklens.study.names import SPLITS
-from tasklens.study.settings import ImageSettings
 
 
 def paths_in(folder: Path) -> dict[str, tuple[Path, Path]]:

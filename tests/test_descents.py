@@ -23,15 +23,15 @@ from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fiel
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
-from tasklens.study.design_settings import (
+from tasklens.settings.design_settings import (
     DescentSettings,
     DesignSettings,
     GradientDesignSettings,
     LeastSquaresSettings,
 )
-from tasklens.study.layers import merged_settings
+from tasklens.settings.layers import merged_settings
+from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
-from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
 from tasklens.study.tables import lens_design
 

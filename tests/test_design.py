@@ -21,9 +21,9 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.psf import psf
-from tasklens.study.design_settings import LearningRates
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import LearningRates
 from tasklens.study.loading import parse
-from tasklens.study.settings import CaptureSettings
 from tasklens.study.tables import lens_design
 
 NAMES = ("COC", "OKP4")

@@ -18,8 +18,8 @@ from tasklens.optics.io import lens_files
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.runtime.files import FileError, write_tensors
+from tasklens.settings.network_settings import TrainingSettings
 from tasklens.study import single
-from tasklens.study.settings import TrainingSettings
 
 QUICK = ("--elements", "COC", "--set", "evaluations=100", "--set", "starts=3")
 

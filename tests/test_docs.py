@@ -17,7 +17,7 @@ from tasklens.optics.tolerancing import yields
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.runtime.files import write_tensors
-from tasklens.study.settings import TrainingSettings
+from tasklens.settings.network_settings import TrainingSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(

@@ -17,7 +17,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.report import predictions
 from tasklens.runtime.files import write_tensors
-from tasklens.study.settings import TrainingSettings
+from tasklens.settings.network_settings import TrainingSettings
 
 CLASSES = ("coarse", "fine", "medium")
 

@@ -19,8 +19,9 @@ from tasklens.design.start import flat
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.view import drawn_points
 from tasklens.recognition.training import Shuffled
-from tasklens.study.design_settings import DescentSettings, LearningRates
-from tasklens.study.settings import Spec, TrainingSettings
+from tasklens.settings.design_settings import DescentSettings, LearningRates
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Spec
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 

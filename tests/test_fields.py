@@ -33,9 +33,10 @@ from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.report import between_fields
 from tasklens.runtime.files import FileError, read_tensors
 from tasklens.sensor import noise
-from tasklens.study.fields import FieldSettings, radii
+from tasklens.settings.capture_settings import SensorSettings
+from tasklens.settings.field_settings import FieldSettings, radii
+from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
-from tasklens.study.settings import SensorSettings, Spec
 from tasklens.study.study import Study, StudyError
 from tasklens.study.tables import lens_design
 

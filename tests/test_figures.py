@@ -14,7 +14,7 @@ from tasklens.optics.analysis.spots import evaluation_psf, spot_diagram
 from tasklens.optics.view import View, view_of_spec
 from tasklens.report import figures
 from tasklens.report.scale_bar import scale_bar
-from tasklens.study.settings import Spec
+from tasklens.settings.specification import Spec
 
 
 @pytest.fixture(scope="module")

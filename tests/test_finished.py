@@ -17,9 +17,9 @@ from selenium.webdriver.support.ui import WebDriverWait
 
 from tasklens.report.page import assembly
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
+from tasklens.settings.names import split
 from tasklens.study import tables
 from tasklens.study.loading import parse
-from tasklens.study.names import split
 from tasklens.study.study import TABLES
 from tasklens.study.tables import verification
 

@@ -28,8 +28,8 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
+from tasklens.settings.specification import Constraints
 from tasklens.simulation.sensor_psfs import trace_sensor_psfs
-from tasklens.study.settings import Constraints
 
 REFERENCE = WAVELENGTHS[1]
 PUPIL = sobol_disc(128, seed=0)

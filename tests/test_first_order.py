@@ -14,7 +14,7 @@ from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields, rim,
 from tasklens.optics.analysis.spots import chief_points, trace_fields_full
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View, view_of_spec
-from tasklens.study.settings import Constraints, Spec
+from tasklens.settings.specification import Constraints, Spec
 
 N = builtin("COC").refractive_index(0.5893)
 

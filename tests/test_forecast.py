@@ -10,7 +10,7 @@ from rules import rule_names
 
 from tasklens.pipeline import forecast
 from tasklens.pipeline.forecast import Durations, Measured
-from tasklens.study.settings import ImageSettings
+from tasklens.settings.image_settings import ImageSettings
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time"  # as Snakemake writes it
 

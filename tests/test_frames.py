@@ -17,8 +17,8 @@ from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.optics.view import view_of_spec
 from tasklens.report import frames
+from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
-from tasklens.study.settings import Spec
 
 LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
 SHAPE = 108, 192

@@ -18,7 +18,7 @@ from tasklens.optics.io import lens_files, zemax
 from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.io.prescription import Prescription
 from tasklens.runtime.errors import InputError
-from tasklens.study.settings import Constraints
+from tasklens.settings.specification import Constraints
 
 STEPS = {"descents": {"0": {"steps": 60}}}
 

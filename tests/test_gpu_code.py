@@ -20,9 +20,10 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition import evaluation, training
 from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.study.design_settings import DescentSettings
-from tasklens.study.restoration_settings import RestorationSettings
-from tasklens.study.settings import CaptureSettings, SensorSettings, TrainingSettings
+from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
+from tasklens.settings.design_settings import DescentSettings
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.restoration_settings import RestorationSettings
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*CUDA is not available.*Disabling autocast")
 without_gpu = pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

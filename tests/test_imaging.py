@@ -6,7 +6,7 @@ from kornia.filters import filter2d
 
 from tasklens.imaging import PsfCamera, psnr
 from tasklens.runtime.errors import InputError
-from tasklens.study.settings import SensorSettings
+from tasklens.settings.capture_settings import SensorSettings
 
 F, B, K = 4, 3, 11
 

@@ -22,9 +22,9 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, trace_fields
 from tasklens.runtime.errors import InputError
-from tasklens.study.design_settings import DescentSettings, LearningRates
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.settings import Constraints
+from tasklens.settings.design_settings import DescentSettings, LearningRates
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.specification import Constraints
 
 PROBLEM = Problem(VIEW, LIMITS, 0)
 PLASTICS = materials("COC", "OKP4")

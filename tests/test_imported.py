@@ -35,9 +35,10 @@ from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.training import fit as fit_network
 from tasklens.runtime.files import FileError
-from tasklens.study.lens_entries import ImportedLens
+from tasklens.settings.lens_entries import ImportedLens
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
-from tasklens.study.settings import Spec, TrainingSettings
 from tasklens.study.study import StudyError
 from tasklens.study.tables import lens_design
 

@@ -16,10 +16,10 @@ from safetensors.torch import load_file
 
 from tasklens.materials.catalogues import builtin
 from tasklens.runtime.checkpoints import Checkpoint
+from tasklens.settings.lens_entries import LensDesign
+from tasklens.settings.names import SHARP
 from tasklens.study import built_lenses, claims, tables
-from tasklens.study.lens_entries import LensDesign
 from tasklens.study.loading import dump, load, parse
-from tasklens.study.names import SHARP
 from tasklens.study.report_jobs import CapturesJob
 from tasklens.study.study import TABLES, Study, StudyError
 

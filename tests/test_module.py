@@ -10,8 +10,8 @@ from expected_jobs import expected
 from rules import ROOT, finish
 from workflows import forked, plan, snakemake
 
+from tasklens.settings.names import SHARP
 from tasklens.study.loading import load, parse
-from tasklens.study.names import SHARP
 
 
 def one_lens() -> dict:

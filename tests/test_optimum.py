@@ -15,9 +15,9 @@ from tasklens.design.supervision import Supervisor
 from tasklens.fields import PAPER
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.report.optimality import Optimum
-from tasklens.study.design_settings import DescentSettings
-from tasklens.study.settings import Spec
-from tasklens.study.tolerance_settings import Grade
+from tasklens.settings.design_settings import DescentSettings
+from tasklens.settings.specification import Spec
+from tasklens.settings.tolerance_settings import Grade
 
 PART = DescentSettings(steps=1, pixels=(5, 5))
 

@@ -26,7 +26,8 @@ from tasklens.recognition.sharp import check_accuracy
 from tasklens.recognition.training import fit
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_tensors
-from tasklens.study.settings import CaptureSettings, TrainingSettings
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.network_settings import TrainingSettings
 
 LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-imaging3.yaml"
 PLATES = {"start": "flat", "batch_size": 4, "rays": 16}

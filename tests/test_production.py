@@ -24,8 +24,8 @@ from tasklens.pipeline.outcome import outcome
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.report import tolerance_page, tolerances
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
+from tasklens.settings.tolerance_settings import Grade
 from tasklens.study.loading import parse
-from tasklens.study.tolerance_settings import Grade
 
 LABELS = torch.arange(6) % 2
 NOISE = torch.rand(6, 3, 40, 40, generator=torch.Generator().manual_seed(0)) - 0.5

@@ -13,8 +13,8 @@ from tasklens.optics.analysis.datasheet import figures
 from tasklens.recognition import classifiers, evaluation, folders
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import answers_file
+from tasklens.settings.specification import Constraints
 from tasklens.study import loading
-from tasklens.study.settings import Constraints
 from tasklens.study.tables import MeasuredKey
 
 ROOT = Path(__file__).parents[1]

@@ -28,8 +28,9 @@ from tasklens.report import ranking
 from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
-from tasklens.study.lens_entries import ImportedLens
-from tasklens.study.settings import Spec, TrainingSettings
+from tasklens.settings.lens_entries import ImportedLens
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Spec
 
 TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
 

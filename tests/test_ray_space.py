@@ -26,9 +26,9 @@ from tasklens.optics.analysis.spots import centroid, chief_rays, clear_semi_diam
 from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.io import prescription
 from tasklens.optics.view import view_of_spec
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.specification import Constraints, Spec
 from tasklens.study.loading import parse
-from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
 

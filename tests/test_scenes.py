@@ -3,7 +3,7 @@
 import torch
 
 from tasklens.recognition import scenes
-from tasklens.study.settings import RENDERED_CLASSES
+from tasklens.settings.image_settings import RENDERED_CLASSES
 
 
 def test_scenes_are_balanced_and_shuffled():

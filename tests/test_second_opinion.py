@@ -24,8 +24,8 @@ from tasklens.optics.analysis.zernike import zernike_coefficients
 from tasklens.optics.io import zemax
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.settings import Constraints, Spec
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.specification import Constraints, Spec
 
 OPTILAND = pytest.importorskip("optiland_lenses", reason="Optiland is not installed")
 RAYS = 64

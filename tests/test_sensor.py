@@ -9,7 +9,7 @@ from kornia.color import rgb_to_linear_rgb
 from tasklens.imaging import PsfCamera
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.sensor import expose, noise
-from tasklens.study.settings import CaptureSettings, SensorSettings
+from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 
 FINE = {"bits": 16}  # levels far below the noise
 

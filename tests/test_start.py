@@ -10,8 +10,8 @@ from tasklens.design.schedule import cosine
 from tasklens.design.start import flat
 from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.study.design_settings import LearningRates
-from tasklens.study.settings import Constraints, Spec
+from tasklens.settings.design_settings import LearningRates
+from tasklens.settings.specification import Constraints, Spec
 
 
 @pytest.mark.parametrize("elements", [1, 2, 3, 4])

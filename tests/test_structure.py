@@ -20,7 +20,7 @@ MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglo
 FLOORS = [
     ("tasklens.runtime", "tasklens.fields"),
     ("tasklens.materials",),
-    ("tasklens.study",),
+    ("tasklens.settings",),
     ("tasklens.optics",),  # rays, aspheres, surface, lens, view, psf
     ("tasklens.optics.tracing",),
     ("tasklens.optics.analysis",),
@@ -30,6 +30,7 @@ FLOORS = [
     ("tasklens.imaging",),
     ("tasklens.simulation",),
     ("tasklens.recognition",),
+    ("tasklens.study",),
     ("tasklens.design",),
     ("tasklens.report", "restoration"),
     ("tasklens.notebook",),
@@ -204,9 +205,9 @@ def test_what_a_job_takes_of_the_settings_is_classes():
     modules = (digest.reached_modules(function.rpartition(".")[0]) for function in FUNCTIONS.values())
     for module in set().union(*modules):
         for node in ast.walk(digest.parse(module)):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("tasklens.study."):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(digest.SETTINGS):
                 constants = [alias.name for alias in node.names if alias.name.isupper() or alias.name.islower()]
-                assert node.module == "tasklens.study.names" or not constants, f"{module}: {ast.unparse(node)}"
+                assert node.module == "tasklens.settings.names" or not constants, f"{module}: {ast.unparse(node)}"
 
 
 def test_digests_cover_all_but_the_settings():
@@ -216,7 +217,7 @@ def test_digests_cover_all_but_the_settings():
         waiting, reached = [first], set()
         while waiting:
             module = waiting.pop()
-            if module not in reached and not f"{module}.".startswith("tasklens.study."):
+            if module not in reached and not f"{module}.".startswith(digest.SETTINGS):
                 reached.add(module)
                 path = ROOT.joinpath(*module.split("."))
                 path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
@@ -328,8 +329,13 @@ def test_only_these_jobs_run_a_module(module, rules):
         ("restoration/training.py", "_WARMUP = 0.05", "_WARMUP = 0.1", {"restore"}),
         ("tasklens/report/page/page.css", "{", "{color: red;", {"report_page", "ranking_table"}),
         ("tasklens/report/ranking.html", "<table", "<table class='other'", {"ranking_table"}),
-        ("tasklens/study/settings.py", "Field(68.8,", "Field(68.9,", set()),  # such a value is in the settings of a job
-        ("tasklens/study/names.py", '"-restored"', '"-mended"', set()),  # it is in the settings, too
+        (
+            "tasklens/settings/specification.py",
+            "Field(68.8,",
+            "Field(68.9,",
+            set(),
+        ),  # such a value is in the settings of a job
+        ("tasklens/settings/names.py", '"-restored"', '"-mended"', set()),  # it is in the settings, too
     ],
     ids=lambda v: v if isinstance(v, str) and "/" in v else "",
 )

@@ -10,11 +10,11 @@ import yaml
 from examples import changed, studies_we_ship, tiny_study, with_imported, write
 
 from tasklens.materials.catalogues import PLASTICS, builtin
+from tasklens.settings.design_settings import LearningRates
+from tasklens.settings.specification import Spec
 from tasklens.study.claims import OVER_END_TO_END, claims
-from tasklens.study.design_settings import LearningRates
 from tasklens.study.loading import dump, load, parse, read, with_base_study, without_null
 from tasklens.study.schema import schema
-from tasklens.study.settings import Spec
 from tasklens.study.study import StudyError
 from tasklens.study.tables import starts
 

@@ -13,8 +13,8 @@ from examples import changed, lens_file, measurement, measurements_of, result, t
 from tasklens.report import headings, tables
 from tasklens.report.failure import failed
 from tasklens.report.latex import escaped
+from tasklens.settings.names import SHARP, measured
 from tasklens.study.loading import dump, parse
-from tasklens.study.names import SHARP, measured
 from tasklens.study.study import TABLES
 from tasklens.study.tables import table as table_of
 

@@ -26,9 +26,11 @@ from tasklens.optics.io import prescription
 from tasklens.optics.psf import psf
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
-from tasklens.study.settings import CaptureSettings, SensorSettings, Spec, TrainingSettings
 from tasklens.study.tables import lens_design
 
 

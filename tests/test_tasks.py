@@ -26,11 +26,11 @@ from tasklens.recognition.scores import Detections
 from tasklens.recognition.tasks import CLASSIFICATION
 from tasklens.report import tasks as report_tasks
 from tasklens.runtime.errors import InputError
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.task_settings import SceneSettings, TaskSettings
 from tasklens.study import claims, tables, task_jobs
 from tasklens.study.loading import parse
-from tasklens.study.settings import TrainingSettings
 from tasklens.study.study import StudyError
-from tasklens.study.task_settings import SceneSettings, TaskSettings
 
 TRAINING = {"epochs": 1, "learning_rate": 1e-3, "batch_size": 4}
 SEGMENTATION = {"kind": "segmentation", "model": "lraspp_mobilenet_v3_large"}

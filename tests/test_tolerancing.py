@@ -20,7 +20,7 @@ from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import DEVIATION, draw, elements, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import View
-from tasklens.study.tolerance_settings import GRADES, Grade
+from tasklens.settings.tolerance_settings import GRADES, Grade
 
 # ---- errors and lenses
 

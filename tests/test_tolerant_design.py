@@ -13,8 +13,8 @@ from tasklens.design.criteria import Contrast, TaskLoss
 from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
-from tasklens.study.settings import CaptureSettings, SensorSettings
-from tasklens.study.tolerance_settings import Grade
+from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
+from tasklens.settings.tolerance_settings import Grade
 
 PHONE, COMMERCIAL = map(Grade.model_validate, ("phone_moulding", "commercial_moulding"))
 

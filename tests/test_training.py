@@ -10,7 +10,7 @@ from torch import nn
 
 from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
-from tasklens.study.settings import TrainingSettings
+from tasklens.settings.network_settings import TrainingSettings
 
 
 def test_training_is_deterministic():

@@ -10,7 +10,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.view import view_of_spec
-from tasklens.study.settings import Spec
+from tasklens.settings.specification import Spec
 
 optiland = pytest.importorskip("optiland.fileio")
 LENS = make_lens(  # a doublet that fits the default specification to first order

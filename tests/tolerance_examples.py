@@ -6,7 +6,7 @@ from tasklens.materials.material import D_LINE
 from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.study.tolerance_settings import GRADES, Grade
+from tasklens.settings.tolerance_settings import GRADES, Grade
 
 COC, OKP4, AIR = materials("COC", "OKP4", "air")
 NOTHING = dict.fromkeys(GRADES["precision_moulding"], 0.0)

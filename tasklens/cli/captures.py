@@ -26,7 +26,7 @@ def captures(
 ) -> None:
     """Simulate captures of all photographs of a folder, each at one field, to train a network elsewhere."""
     from tasklens.notebook.folder_captures import FIELDS, capture_folder
-    from tasklens.study.settings import SensorSettings
+    from tasklens.settings.capture_settings import SensorSettings
 
     lens = read(file)
     index = None if field == "random" else lens.view.named_fields[field]

@@ -123,7 +123,7 @@ def tolerance(
     from tasklens.optics.analysis import focus
     from tasklens.optics.tolerancing import yields
     from tasklens.report import yields as report
-    from tasklens.study.tolerance_settings import GRADES, Grade
+    from tasklens.settings.tolerance_settings import GRADES, Grade
 
     if grade not in GRADES:
         raise InputError(f"--grade {grade}: expected one of {', '.join(GRADES)}")
@@ -200,7 +200,7 @@ def simulate(
     """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""
     from tasklens import notebook
     from tasklens.report import image_files
-    from tasklens.study.settings import SensorSettings
+    from tasklens.settings.capture_settings import SensorSettings
 
     new_file(output, force, ".png", ".jpg", ".jpeg")
     if grid and field != "axis":

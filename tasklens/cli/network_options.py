@@ -8,7 +8,7 @@ import typer
 import yaml
 
 from tasklens.runtime.errors import InputError
-from tasklens.study.user_code import is_users
+from tasklens.runtime.user_code import is_users
 
 _PANEL = "Network and photographs"
 

@@ -21,7 +21,7 @@ from tasklens.cli.network_options import (
 from tasklens.cli.outputs import say
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
-from tasklens.study.names import Focus
+from tasklens.settings.names import Focus
 
 _SENSOR, _MORE = "Sensor and object", "Further options"
 

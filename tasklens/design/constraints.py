@@ -18,7 +18,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
-from tasklens.study.settings import Constraints
+from tasklens.settings.specification import Constraints
 
 HEIGHTS = torch.linspace(0, 1, 17, dtype=torch.float64)  # fractions of the semi-diameter at which limits are checked
 _INCIDENT = OUTLINE[::8]  # (N, 2) pupil points of the rays whose incidence is penalised; the last is the chief ray

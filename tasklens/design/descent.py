@@ -23,7 +23,7 @@ from tasklens.optics.view import View
 from tasklens.recognition.training import Shuffled
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.progress import Progress
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
 
 VALIDATIONS = 20  # validations of a descent, if its pixel pitch is constant
 _PATIENCE = 3  # validations without a better lens

@@ -24,7 +24,7 @@ from tasklens.design.ray_space import as_saved
 from tasklens.design.supervision import Supervisor
 from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
 
 _JUDGED = ("criterion", "temperature", "corner_weight")  # settings by which two descents judge lenses alike
 

@@ -22,10 +22,10 @@ from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
+from tasklens.settings.layers import merged_settings
+from tasklens.settings.messages import in_words, problems
+from tasklens.settings.specification import Constraints, Spec
 from tasklens.study import single
-from tasklens.study.layers import merged_settings
-from tasklens.study.messages import in_words, problems
-from tasklens.study.settings import Constraints, Spec
 from tasklens.study.tables import lens_design
 
 _F_NUMBER = 1e-2  # relative change of the F-number that is mentioned

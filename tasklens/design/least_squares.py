@@ -23,7 +23,7 @@ from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import single_thread
 from tasklens.runtime.progress import Progress
-from tasklens.study.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
 
 _STAGES = ((1.0, 0, 0.12), (0.27, 2, 0.06), (0.08, 4, 0.04))  # fraction of starts, asphere orders, fraction of budget
 _PERTURBATIONS = ((0.05, 0.27), (0.02, 0.28), (0.0, 0.23))  # fraction of starts, at least one lens; fraction of budget

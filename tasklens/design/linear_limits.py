@@ -22,7 +22,7 @@ from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
 from tasklens.optics.view import View
-from tasklens.study.settings import Constraints
+from tasklens.settings.specification import Constraints
 
 
 class LinearLimits:

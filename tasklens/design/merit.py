@@ -15,7 +15,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.tracing.trace import linearise
 from tasklens.optics.view import View
-from tasklens.study.settings import Constraints
+from tasklens.settings.specification import Constraints
 
 # Fields as fractions of the largest.
 FIELD_HEIGHTS = (0.0, 0.25, 0.45, 0.65, 0.88, 1.0)

@@ -31,9 +31,9 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Classification, Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import single_thread
-from tasklens.study.design_settings import DescentSettings, GradientDesignSettings
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.lens_entries import ImportedLens, LensDesign
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.lens_entries import ImportedLens, LensDesign
 
 _APERTURE = 1.02  # clear semi-diameter / illuminated radius, of an imported lens without apertures
 

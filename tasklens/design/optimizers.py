@@ -16,7 +16,7 @@ from tasklens.design.ray_space import HARD, SOFT, RaySpace
 from tasklens.design.schedule import cosine
 from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.lens import Lens
-from tasklens.study.design_settings import DescentSettings
+from tasklens.settings.design_settings import DescentSettings
 
 LEEWAY_MM = 0.05  # violation norm above which a lens is far outside its limits; and the increase that halves a step
 _HALVINGS = 5  # maximum number of halvings of a step

@@ -12,7 +12,7 @@ from tasklens.design.ray_space import HARD, RaySpace, repair
 from tasklens.design.supervision import SELECTION, Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
-from tasklens.study.design_settings import DescentSettings
+from tasklens.settings.design_settings import DescentSettings
 
 # RMS ray displacements of steps along the gradient. Random steps use the first; it hardly affects a blurred lens.
 STEPS_UM = (0.5, 2.0, 8.0)

@@ -7,7 +7,8 @@ from tasklens.design.variables import Free
 from tasklens.fields import SELECTION, Points
 from tasklens.optics.view import View, drawn_points
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.study.settings import CaptureSettings, Constraints
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.specification import Constraints
 
 History = list[dict[str, Any]]  # a row per logged step of a design
 

@@ -15,7 +15,7 @@ from tasklens.optics.analysis.paraxial import paraxial, paraxial_ray
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.study.settings import Constraints
+from tasklens.settings.specification import Constraints
 
 _BLOCK = 20_000  # lenses drawn at once
 _SPACES = 0.35  # largest element and air thickness [focal lengths]

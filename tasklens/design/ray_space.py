@@ -21,7 +21,7 @@ from tasklens.design.variables import Free, Variables
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.study.settings import Constraints
+from tasklens.settings.specification import Constraints
 
 # Small changes: of curvature [1/mm], thickness [mm], and of alpha_2j R^(2j - 1), the slope at R up to a factor.
 _SCALES = {"curvature": 0.1, "thickness": 0.05, "alpha_4": 0.03, "alpha_6": 0.02, "alpha_8": 0.015, "alpha_10": 0.01}

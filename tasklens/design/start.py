@@ -5,7 +5,7 @@ import torch
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR, Material
 from tasklens.optics.lens import Lens
-from tasklens.study.settings import Constraints, Spec
+from tasklens.settings.specification import Constraints, Spec
 
 _BACK = 0.35  # last space [focal lengths], if there is room; small: far from the stop, fields separate on the plates
 _AIR = 0.5  # air spaces [plate thicknesses]

@@ -30,8 +30,8 @@ from tasklens.optics.tolerancing.errors import draw, errors, with_errors
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.devices import random_state, set_random_state
-from tasklens.study.settings import CaptureSettings
-from tasklens.study.tolerance_settings import Grade
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.tolerance_settings import Grade
 
 _PUPIL = (6, 12)  # rings and arms for the relative illumination; within 1e-5 for half of the published lenses
 VALIDATION = slice(48)  # images in fixed order; a batch of 8 photographs has losses from 0.1 to 2 for the same lens

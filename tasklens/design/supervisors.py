@@ -18,8 +18,8 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
 from tasklens.runtime.errors import InputError
-from tasklens.study.design_settings import DescentSettings
-from tasklens.study.settings import RENDERED_CLASSES
+from tasklens.settings.design_settings import DescentSettings
+from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 
 _SHARP = 500  # largest number of sharp images on which the network is tried

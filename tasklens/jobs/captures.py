@@ -15,8 +15,8 @@ from tasklens.recognition.classifiers import Classifier
 from tasklens.report.chosen_images import choose
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_rows, write_tensors
-from tasklens.study import names
-from tasklens.study.names import SHARP
+from tasklens.settings import names
+from tasklens.settings.names import SHARP
 from tasklens.study.report_jobs import CapturesJob
 
 FIELDS = {0: "axis", 4: "middle", 8: "corner"}  # labels of three of the nine fields

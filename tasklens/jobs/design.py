@@ -11,7 +11,7 @@ from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_rows
-from tasklens.study.lens_entries import LensDesign
+from tasklens.settings.lens_entries import LensDesign
 
 
 def run(

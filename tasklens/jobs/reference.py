@@ -10,7 +10,7 @@ from tasklens.recognition import classifiers, dataset, sharp, training
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_tensors
-from tasklens.study.settings import ClassifierSettings
+from tasklens.settings.network_settings import ClassifierSettings
 
 _SHARP, _ENOUGH = 500, 30  # maximum and minimum number of images to check published weights
 

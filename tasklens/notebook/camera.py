@@ -19,7 +19,8 @@ from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import explained
-from tasklens.study.settings import Constraints, SensorSettings
+from tasklens.settings.capture_settings import SensorSettings
+from tasklens.settings.specification import Constraints
 
 _FORMAT = 2.0  # of the state: parameters are changes
 _SAME = 1e-6  # relative difference of numbers of the same lens, computed on two machines

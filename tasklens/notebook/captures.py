@@ -18,7 +18,7 @@ from tasklens.optics.view import View
 from tasklens.recognition.image_tensor import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import as_tensor, explained
-from tasklens.study.settings import SensorSettings
+from tasklens.settings.capture_settings import SensorSettings
 
 
 @explained

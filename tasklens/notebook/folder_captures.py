@@ -20,7 +20,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
 from tasklens.sensor import noise
-from tasklens.study.settings import SensorSettings
+from tasklens.settings.capture_settings import SensorSettings
 
 FIELDS = "fields.csv"  # of the captures
 _DRAWS = 8  # draws of nine fields

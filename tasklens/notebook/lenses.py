@@ -31,7 +31,7 @@ from tasklens.report import drawing
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, as_paths, positive
 from tasklens.runtime.tensors import as_tensor, explained
-from tasklens.study.settings import Spec
+from tasklens.settings.specification import Spec
 
 
 def load_lens(

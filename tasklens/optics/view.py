@@ -9,7 +9,7 @@ from torch import Tensor
 
 from tasklens.fields import CELLS
 from tasklens.runtime.errors import InputError
-from tasklens.study.settings import Spec
+from tasklens.settings.specification import Spec
 
 _WIDEST = 10_000  # pixels of a PSF window
 _RADII = 36  # with four times as many, margins of 110 published lenses within their limits change by at most 3e-4

@@ -8,10 +8,10 @@ from tasklens.optics.tracing.trace import compile_tracer
 from tasklens.recognition import class_folders, object_splits
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
+from tasklens.settings.design_settings import GradientDesignSettings
+from tasklens.settings.image_settings import RENDERED_CLASSES
+from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study import consistency
-from tasklens.study.design_settings import GradientDesignSettings
-from tasklens.study.lens_entries import ImportedLens
-from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 from tasklens.study.tables import candidates, starts
 

@@ -2,8 +2,8 @@
 
 It covers the module of the job's function and all our modules that it imports, directly or indirectly, as syntax trees
 without docstrings, so that editing comments or docstrings does not change it, and the templates and tables beside them.
-It leaves out the package `tasklens.study`, because a job's settings contain everything that the job reads of a study,
-also the coefficients of its plastics.
+It leaves out the packages `tasklens.settings` and `tasklens.study`, because a job's settings contain everything that
+the job reads of a study, also the coefficients of its plastics.
 """
 
 import ast
@@ -16,7 +16,7 @@ ROOT = Path(__file__).parents[2]
 SNAKEFILE = ROOT / "Snakefile"
 NOT_INSTALLED = "the workflow is not installed: clone the repository, and install it by `pip install -e .`"
 PACKAGES = ("tasklens", "restoration")
-SETTINGS = "tasklens.study"
+SETTINGS = ("tasklens.settings.", "tasklens.study.")
 _TEMPLATES = (".html", ".css", ".js", ".csv")
 _LENGTH = 16  # of a digest [hexadecimal digits]
 
@@ -82,12 +82,12 @@ def is_digest(text: str) -> bool:
 
 
 def reached_modules(module: str) -> set[str]:
-    """Return a module and all modules it imports, directly or indirectly, except modules of `tasklens.study`."""
+    """Return a module and all modules it imports, directly or indirectly, except settings."""
     modules: set[str] = set()
     waiting = {module}
     while waiting:
         current = waiting.pop()
-        if current not in modules and not f"{current}.".startswith(f"{SETTINGS}."):
+        if current not in modules and not f"{current}.".startswith(SETTINGS):
             modules.add(current)
             waiting |= code_and_imports(current)[1]
     return modules

@@ -16,7 +16,7 @@ from statistics import mean
 from tasklens.recognition import class_folders
 from tasklens.runtime.benchmarks import Benchmark, benchmarks, number
 from tasklens.runtime.files import FileError
-from tasklens.study.settings import ImageSettings
+from tasklens.settings.image_settings import ImageSettings
 from tasklens.study.study import Study
 
 MEASURED = Path(__file__).parents[2] / "config" / "durations.csv"

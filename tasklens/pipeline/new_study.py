@@ -14,14 +14,14 @@ from tasklens.pipeline.digest import NOT_INSTALLED, ROOT
 from tasklens.pipeline.forecast import COMPARABLE, LARGE, duration, durations_of, elsewhere
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
-from tasklens.study import names
+from tasklens.settings import names
+from tasklens.settings.image_settings import RENDERED_CLASSES
+from tasklens.settings.layers import merged_settings
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.study import tables as paper_tables
 from tasklens.study.design_methods import with_named_designs
 from tasklens.study.effort import effort
-from tasklens.study.layers import merged_settings
-from tasklens.study.least_squares_settings import LeastSquaresSettings
 from tasklens.study.loading import parse
-from tasklens.study.settings import RENDERED_CLASSES
 from tasklens.study.study import Study
 
 DEFAULT = ROOT / "config" / "config.yaml"

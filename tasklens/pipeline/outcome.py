@@ -7,7 +7,7 @@ from statistics import mean
 
 from tasklens.report.verification import ROUNDING
 from tasklens.runtime.files import read_table, read_yaml
-from tasklens.study.names import SHARP
+from tasklens.settings.names import SHARP
 
 
 def outcome(rule: str, outputs: Sequence[str], log: Path) -> str:

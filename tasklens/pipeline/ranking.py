@@ -14,7 +14,8 @@ from tasklens.pipeline.screening import ELEMENTS, Screened
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_table, write_text
-from tasklens.study.settings import ClassifierSettings, ImageSettings
+from tasklens.settings.image_settings import ImageSettings
+from tasklens.settings.network_settings import ClassifierSettings
 
 _SHOWN = 200  # sharp photographs for the check of a network
 _MINIVAL = 2  # photographs that a study needs in addition to the ranking's

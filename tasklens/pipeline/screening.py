@@ -22,10 +22,10 @@ from tasklens.optics.view import view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
-from tasklens.study.lens_entries import ImportedLens
-from tasklens.study.messages import problems
-from tasklens.study.names import Focus
-from tasklens.study.settings import Spec
+from tasklens.settings.lens_entries import ImportedLens
+from tasklens.settings.messages import problems
+from tasklens.settings.names import Focus
+from tasklens.settings.specification import Spec
 
 ELEMENTS = "lens"  # name of the elements of all lenses in the study
 _SUFFIXES = (".zmx", ".yaml", ".yml")

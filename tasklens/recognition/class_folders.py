@@ -13,7 +13,7 @@ from itertools import islice
 from pathlib import Path
 
 from tasklens.runtime.files import FileError
-from tasklens.study.settings import ImageSettings
+from tasklens.settings.image_settings import ImageSettings
 
 SUFFIXES = (".jpg", ".jpeg", ".jpe", ".jfif", ".png", ".webp")
 OTHERS = (".tif", ".tiff", ".bmp", ".gif", ".heic", ".jp2", ".avif", ".dng")  # image formats that are not supported

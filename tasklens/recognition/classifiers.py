@@ -20,11 +20,11 @@ from torch.nn.modules.batchnorm import _BatchNorm
 
 from tasklens.recognition import networks
 from tasklens.recognition.folding import fold_batch_norms
+from tasklens.runtime import user_code
 from tasklens.runtime.devices import half_precision
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
-from tasklens.study import user_code
-from tasklens.study.settings import ClassifierSettings
+from tasklens.settings.network_settings import ClassifierSettings
 
 _Network = TypeVar("_Network", bound=nn.Module)
 _LONGEST = 300  # maximum characters of an error from a weights reader; some are a page long

@@ -12,8 +12,8 @@ from tasklens.recognition import class_folders, folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import CPU, send, single_thread
 from tasklens.runtime.files import FileError, damaged, map_array, read_json, write_text, writing_array
-from tasklens.study.names import SPLITS
-from tasklens.study.settings import ImageSettings
+from tasklens.settings.image_settings import ImageSettings
+from tasklens.settings.names import SPLITS
 
 
 @dataclass(frozen=True)

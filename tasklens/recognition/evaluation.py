@@ -17,7 +17,7 @@ from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
 from tasklens.sensor import noise
-from tasklens.study.settings import CaptureSettings
+from tasklens.settings.capture_settings import CaptureSettings
 
 _WORST = 0.01  # fraction of images with the lowest PSNR, averaged in `worst_psnr_db`
 _BATCH = 64  # images per rendering, and captures per forward pass

@@ -9,8 +9,8 @@ import huggingface_hub
 import timm
 from torch import nn
 
+from tasklens.runtime import user_code
 from tasklens.runtime.errors import InputError
-from tasklens.study import user_code
 
 _REACH_S = 5.0  # timeout to reach the hub
 

@@ -5,7 +5,7 @@ from pathlib import Path
 from tasklens.recognition import coco, object_scenes
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.runtime.files import FileError
-from tasklens.study.task_settings import SceneSettings
+from tasklens.settings.task_settings import SceneSettings
 
 _NAMES = {"train": ("train2017", "train"), "test": ("val2017", "val")}  # possible names of a folder's splits
 

@@ -10,7 +10,7 @@ from tasklens.recognition import objects, task_networks
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections, average_precision, encoded, mean_iou
 from tasklens.recognition.tasks import Task
-from tasklens.study.task_settings import TaskSettings
+from tasklens.settings.task_settings import TaskSettings
 
 _MEAN, _STD = (0.485, 0.456, 0.406), (0.229, 0.224, 0.225)  # normalisation of torchvision's networks
 

@@ -16,7 +16,7 @@ from torchvision.ops import MultiScaleRoIAlign
 
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_tensors
-from tasklens.study.task_settings import TaskSettings
+from tasklens.settings.task_settings import TaskSettings
 
 _LEVELS = 5  # levels of the pyramid: strides 4 to 64
 _ANCHOR = 12  # side of the anchors of the first level [pixels]; each level doubles it

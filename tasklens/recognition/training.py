@@ -15,7 +15,7 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
 from tasklens.runtime.distributed import SINGLE_PROCESS, ProcessGroup
 from tasklens.runtime.progress import Progress
-from tasklens.study.settings import TrainingSettings
+from tasklens.settings.network_settings import TrainingSettings
 
 
 def warmup_cosine(optimizer: torch.optim.Optimizer, steps: int, warmup: float) -> LRScheduler:

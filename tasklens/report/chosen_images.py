@@ -7,7 +7,7 @@ import pandas
 
 from tasklens.report import predictions
 from tasklens.runtime.files import FileError
-from tasklens.study.names import SHARP
+from tasklens.settings.names import SHARP
 
 _DIVIDING = 2  # number of images that divide the lenses
 

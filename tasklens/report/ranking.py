@@ -21,7 +21,7 @@ from tasklens.report.page import pictures
 from tasklens.report.publish import publish
 from tasklens.report.tolerance_page import distribution
 from tasklens.runtime.files import read_table, write_text
-from tasklens.study.names import SHARP
+from tasklens.settings.names import SHARP
 from tasklens.study.ranking import RankingJob
 
 SIGNIFICANCE = 0.05

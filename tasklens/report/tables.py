@@ -18,8 +18,8 @@ from tasklens.report.headings import PAPER, STD
 from tasklens.report.measurements import FIELD, Measurements
 from tasklens.report.publish import publish
 from tasklens.runtime.files import write_text
-from tasklens.study import names
-from tasklens.study.names import SHARP
+from tasklens.settings import names
+from tasklens.settings.names import SHARP
 from tasklens.study.tables import TableContents
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")

@@ -24,8 +24,8 @@ from tasklens.report import answers_file, between_fields, bootstrap, predictions
 from tasklens.report.failure import LEAST_ENERGY, least_accuracy
 from tasklens.report.measurements import Measurements
 from tasklens.report.publish import publish
+from tasklens.settings.names import SHARP
 from tasklens.study.claims import Claim, Claims
-from tasklens.study.names import SHARP
 
 LEAST_SEEDS = 5  # with three, t(2) = 4.30 makes intervals too wide
 HOLDS, FAILS, UNDECIDED, SUGGESTS = "holds", "does not hold", "undecided", "suggests"

@@ -17,8 +17,8 @@ from tasklens.report import predictions
 from tasklens.report.measurements import Measurements
 from tasklens.report.optimality import optimum
 from tasklens.runtime.files import read_table
-from tasklens.study import names
-from tasklens.study.names import SHARP
+from tasklens.settings import names
+from tasklens.settings.names import SHARP
 from tasklens.study.tables import MeasuredKey, TableContents, VerificationContents
 
 Reproduced = Mapping[MeasuredKey, Path]  # predictions

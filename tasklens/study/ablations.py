@@ -5,13 +5,14 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
 
-from tasklens.study.design_settings import DesignSettings
-from tasklens.study.fields import FieldSet
-from tasklens.study.layers import merged_settings
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.lens_entries import LensEntry
-from tasklens.study.quantities import Name
-from tasklens.study.settings import CaptureSettings, Frozen
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import DesignSettings
+from tasklens.settings.field_settings import FieldSet
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.layers import merged_settings
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.lens_entries import LensEntry
+from tasklens.settings.quantities import Name
 
 _DESIGN = TypeAdapter(DesignSettings)
 

@@ -1,10 +1,13 @@
 """Settings of lenses built in simulation, and contents of their table; no torch here."""
 
-from tasklens.study.fields import Points
-from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, Spec
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.field_settings import Points
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.network_settings import ClassifierSettings
+from tasklens.settings.specification import Spec
+from tasklens.settings.tolerance_settings import ToleranceSettings
 from tasklens.study.study import Study, StudyError
 from tasklens.study.tables import SeededLenses, chosen_lenses
-from tasklens.study.tolerance_settings import ToleranceSettings
 
 
 class ProductionJob(Frozen):

@@ -5,11 +5,11 @@ A claim belongs to one table, which sets its classifier and whether captures are
 
 from itertools import pairwise
 
-from tasklens.study import names
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.lens_entries import LensEntry
-from tasklens.study.names import SHARP
-from tasklens.study.settings import Frozen
+from tasklens.settings import names
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.lens_entries import LensEntry
+from tasklens.settings.names import SHARP
 from tasklens.study.study import Study, pick
 from tasklens.study.tables import LensKey, MeasuredKey, starts, tables
 

@@ -5,15 +5,16 @@ from typing import Any
 from pydantic import ValidationError
 
 from tasklens.fields import SELECTION
-from tasklens.study import ablations, feasibility, fields
-from tasklens.study.design_settings import (
+from tasklens.settings import field_settings as fields
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import (
     DesignSettings,
     GradientDesignSettings,
 )
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.lens_entries import ImportedLens, LensEntry
-from tasklens.study.messages import in_words
-from tasklens.study.settings import CaptureSettings
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.lens_entries import ImportedLens, LensEntry
+from tasklens.settings.messages import in_words
+from tasklens.study import ablations, feasibility
 from tasklens.study.study import Study
 
 _RESERVED = {  # names by section, and their use

@@ -1,7 +1,7 @@
 """One sentence about each design of a study, from its settings; no torch here."""
 
-from tasklens.study.design_settings import GradientDesignSettings
-from tasklens.study.lens_entries import ImportedLens, LensEntry
+from tasklens.settings.design_settings import GradientDesignSettings
+from tasklens.settings.lens_entries import ImportedLens, LensEntry
 
 _CRITERIA = {
     "task": "the loss of the frozen network",

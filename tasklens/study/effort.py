@@ -1,9 +1,9 @@
 """Effort of the designs of a study: evaluations, with and without those of the lenses that they were chosen from."""
 
-from tasklens.study.design_settings import DesignSettings
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.lens_entries import ImportedLens
-from tasklens.study.settings import Frozen
+from tasklens.settings.design_settings import DesignSettings
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study.study import Study
 from tasklens.study.tables import LensKey, candidates, starts, table_lenses
 

@@ -2,7 +2,7 @@
 
 from tasklens.materials.material import Material
 from tasklens.runtime.errors import InputError
-from tasklens.study.settings import Constraints, Spec
+from tasklens.settings.specification import Constraints, Spec
 
 
 def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:

@@ -10,18 +10,15 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from tasklens.study import names
-from tasklens.study.fields import Points
-from tasklens.study.names import SHARP
-from tasklens.study.restoration_settings import RestorationSettings
-from tasklens.study.settings import (
-    CaptureSettings,
-    ClassifierSettings,
-    Frozen,
-    ImageSettings,
-    Spec,
-    TrainingSettings,
-)
+from tasklens.settings import names
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.field_settings import Points
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.image_settings import ImageSettings
+from tasklens.settings.names import SHARP
+from tasklens.settings.network_settings import ClassifierSettings, TrainingSettings
+from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.specification import Spec
 from tasklens.study.study import Study, StudyError
 
 

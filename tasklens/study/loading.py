@@ -12,11 +12,11 @@ from pydantic import ValidationError
 
 from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError
+from tasklens.settings.layers import merged_settings
+from tasklens.settings.messages import missing_keys, problems, suggestion
+from tasklens.settings.quantities import Name
 from tasklens.study import consistency
 from tasklens.study.design_methods import with_named_designs
-from tasklens.study.layers import merged_settings
-from tasklens.study.messages import missing_keys, problems, suggestion
-from tasklens.study.quantities import Name
 from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
 

@@ -1,7 +1,8 @@
 """Settings of the ranking of lenses for a network; no torch here."""
 
-from tasklens.study.names import SHARP
-from tasklens.study.settings import Frozen, RankingSettings
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.names import SHARP
+from tasklens.study.ranking_settings import RankingSettings
 from tasklens.study.study import Study
 from tasklens.study.tables import LensKey, MeasuredKey, table
 

@@ -2,20 +2,23 @@
 
 from typing import Any
 
+from tasklens.settings import names
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.field_settings import Points, radii
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.network_settings import ClassifierSettings
+from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.specification import Spec
+from tasklens.settings.tolerance_settings import Grade
 from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
-from tasklens.study import names
 from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claim, Claims, PaperClaim
 from tasklens.study.descriptions import description
-from tasklens.study.fields import Points, radii
 from tasklens.study.loading import dump
-from tasklens.study.restoration_settings import RestorationSettings
-from tasklens.study.settings import CaptureSettings, ClassifierSettings, Frozen, Spec
 from tasklens.study.study import Study, StudyError, pick
 from tasklens.study.sweep import points
 from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, TableContents
-from tasklens.study.tolerance_settings import Grade
 
 
 class DrawingJob(Frozen):

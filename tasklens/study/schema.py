@@ -2,12 +2,12 @@
 
 from typing import Any
 
+from tasklens.settings.field_settings import NAMED
+from tasklens.settings.learning_rates import PRESETS
+from tasklens.settings.tolerance_settings import GRADES
 from tasklens.study.design_methods import methods
-from tasklens.study.fields import NAMED
-from tasklens.study.learning_rates import PRESETS
 from tasklens.study.loading import EXTENDS
 from tasklens.study.study import Study
-from tasklens.study.tolerance_settings import GRADES
 
 _PLACE, _CHANGES = "#/$defs/", "Changed"  # prefix of the definitions of a study that extends another
 

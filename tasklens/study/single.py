@@ -6,9 +6,9 @@ from typing import Any
 from pydantic import TypeAdapter
 
 from tasklens.runtime.errors import InputError
+from tasklens.settings.design_settings import DesignSettings, GradientDesignSettings
+from tasklens.settings.layers import merged_settings
 from tasklens.study.design_methods import from_flat, methods
-from tasklens.study.design_settings import DesignSettings, GradientDesignSettings
-from tasklens.study.layers import merged_settings
 from tasklens.study.loading import parse
 from tasklens.study.study import Study
 

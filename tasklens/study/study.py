@@ -10,30 +10,26 @@ from tasklens.materials.library import Library
 from tasklens.materials.material import Material, from_definitions
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
-from tasklens.study.ablations import Ablation, variant_entry
-from tasklens.study.design_settings import (
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.design_settings import (
     DesignSettings,
     GradientDesignSettings,
     LeastSquaresSettings,
 )
-from tasklens.study.fields import FieldSettings, Points, points
-from tasklens.study.lens_entries import ImportedLens, LensEntry
-from tasklens.study.messages import in_words
-from tasklens.study.quantities import Name, Rays, Seed, StudyName
-from tasklens.study.restoration_settings import RestorationSettings
-from tasklens.study.settings import (
-    CaptureSettings,
-    ClassifierSettings,
-    Constraints,
-    Frozen,
-    ImageSettings,
-    RankingSettings,
-    Spec,
-    TrainingSettings,
-)
+from tasklens.settings.field_settings import FieldSettings, Points, points
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.image_settings import ImageSettings
+from tasklens.settings.lens_entries import ImportedLens, LensEntry
+from tasklens.settings.messages import in_words
+from tasklens.settings.network_settings import ClassifierSettings, TrainingSettings
+from tasklens.settings.quantities import Name, Rays, Seed, StudyName
+from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.specification import Constraints, Spec
+from tasklens.settings.task_settings import TaskSettings, TasksSettings
+from tasklens.settings.tolerance_settings import ToleranceSettings
+from tasklens.study.ablations import Ablation, variant_entry
+from tasklens.study.ranking_settings import RankingSettings
 from tasklens.study.sweep import Sweep
-from tasklens.study.task_settings import TaskSettings, TasksSettings
-from tasklens.study.tolerance_settings import ToleranceSettings
 
 TableName = Literal["table1", "table2", "table3", "table4"]
 TABLES: tuple[TableName, ...] = get_args(TableName)

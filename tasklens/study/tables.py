@@ -4,11 +4,11 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from tasklens.fields import GRADING_CENTRES, PAPER
-from tasklens.study import names
-from tasklens.study.design_settings import GradientDesignSettings
-from tasklens.study.lens_entries import LensDesign
-from tasklens.study.names import SHARP
-from tasklens.study.settings import Frozen
+from tasklens.settings import names
+from tasklens.settings.design_settings import GradientDesignSettings
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.lens_entries import LensDesign
+from tasklens.settings.names import SHARP
 from tasklens.study.study import Study
 
 _SEEDS = 1000  # distance between the seeds of designs for two sets of images: each set has draws of its own

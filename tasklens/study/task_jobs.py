@@ -2,12 +2,13 @@
 
 from typing import Any, NamedTuple
 
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.names import SHARP
+from tasklens.settings.task_settings import SceneSettings, TaskSettings
 from tasklens.study.job_settings import lens_columns, source
-from tasklens.study.names import SHARP
-from tasklens.study.settings import CaptureSettings, Frozen
 from tasklens.study.study import Study, StudyError
 from tasklens.study.tables import LensKey, chosen_lenses
-from tasklens.study.task_settings import SceneSettings, TaskSettings
 
 
 class ScenesJob(Frozen):

@@ -7,11 +7,12 @@ from snakemake.exceptions import WorkflowError
 
 from tasklens.pipeline.digest import code_digest
 from tasklens.pipeline.forecast import durations_of
-from tasklens.study import built_lenses, job_settings, names, report_jobs, task_jobs
+from tasklens.settings import names
+from tasklens.study import built_lenses, job_settings, report_jobs, task_jobs
 from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
-from tasklens.study.lens_entries import ImportedLens
+from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study.parts import parts, whole_study_name
 from tasklens.study.ranking import RankingJob
 from tasklens.study.study import StudyError

@@ -10,8 +10,8 @@ from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError, number, positive
-from tasklens.study.messages import suggestion
-from tasklens.study.settings import Spec
+from tasklens.settings.messages import suggestion
+from tasklens.settings.specification import Spec
 
 COMPUTED = (
     "figures",

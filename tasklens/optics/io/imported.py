@@ -17,7 +17,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import describe_loss
 from tasklens.optics.view import View
 from tasklens.runtime.files import FileError
-from tasklens.study.lens_entries import ImportedLens
+from tasklens.settings.lens_entries import ImportedLens
 
 _SAME = 1e-9  # relative difference of equal focal lengths or vergences
 

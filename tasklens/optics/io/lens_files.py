@@ -24,8 +24,8 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, positive
-from tasklens.study.messages import problems
-from tasklens.study.settings import Spec
+from tasklens.settings.messages import problems
+from tasklens.settings.specification import Spec
 
 _AFOCAL = 100.0  # mm; focal length of the pinhole camera whose image points are the fields of an afocal lens
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from tasklens.materials.material import AIR
 from tasklens.optics.lens import Lens, Melt
-from tasklens.study.tolerance_settings import Grade
+from tasklens.settings.tolerance_settings import Grade
 
 _FRINGE_MM = 0.6328e-3 / 2  # height of a fringe in reflection
 _TEST_DIAMETER_MM = 25.0  # diameter over which fringes are counted

@@ -19,7 +19,7 @@ from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.progress import Progress
-from tasklens.study.tolerance_settings import Grade
+from tasklens.settings.tolerance_settings import Grade
 
 KEPT_MTF = 0.8  # fraction of the design's MTF that a good lens keeps
 _RAYS = 512  # per field and colour

@@ -9,7 +9,7 @@ from safetensors.numpy import load_file
 
 from tasklens.report.page import pictures
 from tasklens.runtime.files import read_table
-from tasklens.study.names import SHARP, measured
+from tasklens.settings.names import SHARP, measured
 
 
 @dataclass(frozen=True)

@@ -4,8 +4,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from tasklens.study.quantities import Angle, Count, Name, Positive, Steps
-from tasklens.study.settings import Frozen
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.quantities import Angle, Count, Name, Positive, Steps
 
 
 class LeastSquaresSettings(Frozen):

@@ -5,9 +5,10 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
-from tasklens.study.learning_rates import LearningRates
-from tasklens.study.least_squares_settings import LeastSquaresSettings
-from tasklens.study.quantities import (
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.learning_rates import LearningRates
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
+from tasklens.settings.quantities import (
     Angle,
     Batch,
     Count,
@@ -20,8 +21,7 @@ from tasklens.study.quantities import (
     Small,
     Steps,
 )
-from tasklens.study.settings import Frozen
-from tasklens.study.tolerance_settings import Grade
+from tasklens.settings.tolerance_settings import Grade
 
 VariableName = Literal["curvature", "thickness", "alpha_4", "alpha_6", "alpha_8", "alpha_10"]
 SurfaceNumber = Annotated[int, Field(ge=0, le=1000)]

@@ -4,8 +4,8 @@ from typing import Any
 
 from pydantic import Field, model_validator
 
-from tasklens.study.quantities import Fraction, LearningRate
-from tasklens.study.settings import Frozen
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.quantities import Fraction, LearningRate
 
 PRESETS = {  # those of the paper (section 3.3), and ours for 500 steps from flat plates
     "paper": {"curvature": 1e-4, "thickness": 1e-4, "alpha_4": 1e-4, "decay": 0.02, "normalised": False},

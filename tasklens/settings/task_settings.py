@@ -5,8 +5,9 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from tasklens.study.quantities import Count, Name, Periods, Seed, Small, Whole
-from tasklens.study.settings import Frozen, TrainingSettings
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.network_settings import TrainingSettings
+from tasklens.settings.quantities import Count, Name, Periods, Seed, Small, Whole
 
 
 class SceneSettings(Frozen):

@@ -4,8 +4,8 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from tasklens.study.quantities import Count
-from tasklens.study.settings import Frozen
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.quantities import Count
 
 Tolerance = Annotated[float, Field(ge=0, le=1000)]
 Percent = Annotated[float, Field(ge=0, le=50)]

@@ -4,8 +4,8 @@ from typing import Annotated
 
 from pydantic import Field, model_validator
 
-from tasklens.study.quantities import Batch, LearningRate, Small, Steps, Whole
-from tasklens.study.settings import Frozen
+from tasklens.settings.frozen import Frozen
+from tasklens.settings.quantities import Batch, LearningRate, Small, Steps, Whole
 
 
 class RestorationSettings(Frozen):
