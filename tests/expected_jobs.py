@@ -1,5 +1,6 @@
 """The jobs that a study implies, counted from its lenses, classifiers and tables instead of from the rules."""
 
+from tasklens.settings.starts import best_of, imaging_designs
 from tasklens.study.parts import parts
 from tasklens.study.study import Study
 
@@ -44,7 +45,7 @@ class Expected:
         for lens in lenses:
             start, named = getattr(lens.design, "start", None), ()
             if start in ("best_imaging", "best_spot"):
-                named = self.study.best_of[start]
+                named = best_of(self.study.designs)[start]
             elif isinstance(start, tuple) and lens.design.descents[-1].network_learning_rate:
                 named = start
             if named:
@@ -88,7 +89,7 @@ def expected_of_everything(study: Study) -> dict[str, int]:
     again = len(jobs.measured - {(name, study.supervisor, False) for name in jobs.waiting - jobs.shown})
     drawn = {lens.elements for lens in study.lenses.values() if task_driven(lens)}
     jobs.measured |= {  # the best imaging lens stands beside the task-driven one
-        (f"{elements}-{name}", study.supervisor, False) for elements in drawn for name in study.imaging_designs
+        (f"{elements}-{name}", study.supervisor, False) for elements in drawn for name in imaging_designs(study.designs)
     }
     jobs.waiting |= set(study.lenses)
     for name, item in study.ablations.items():

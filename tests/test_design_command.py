@@ -18,8 +18,8 @@ from tasklens.optics.io import lens_files
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
 from tasklens.runtime.files import FileError, write_tensors
+from tasklens.settings.lens_settings import lens_settings
 from tasklens.settings.network_settings import TrainingSettings
-from tasklens.study import single
 
 QUICK = ("--elements", "COC", "--set", "evaluations=100", "--set", "starts=3")
 
@@ -160,7 +160,7 @@ TASK = ("--method", "task", "--network", "test_resnet")
 MISTAKES = [
     (
         ("--elements", "COC,GLASS"),
-        "elements.lens: unknown glass 'GLASS' in the built-in plastics",
+        "elements: unknown glass 'GLASS' in the built-in plastics",
     ),
     (
         ("--method", "magic"),
@@ -233,6 +233,6 @@ def test_a_mistake_is_one_line_before_the_first_step(photographs, capsys, argume
 def test_baselines_do_not_have_the_keys_of_a_network():
     """They have no network whose batch norms could use the statistics of a batch."""
     arguments = ("task", ("COC",), {}, {"batch_norm": "batch"}, {}, (), None, {"model": "resnet18", "pretrained": True})
-    study = single.study(*arguments, baselines=("correlation",))
-    assert study.designs["task"].batch_norm == "batch" and study.designs["correlation"].batch_norm == "stored"
-    assert [descent.criterion for descent in study.designs["correlation"].descents] == ["correlation"]
+    designs = lens_settings(*arguments, baselines=("correlation",)).designs
+    assert designs["task"].batch_norm == "batch" and designs["correlation"].batch_norm == "stored"
+    assert [descent.criterion for descent in designs["correlation"].descents] == ["correlation"]

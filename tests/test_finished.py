@@ -18,6 +18,7 @@ from selenium.webdriver.support.ui import WebDriverWait
 from tasklens.report.page import assembly
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.settings.names import split
+from tasklens.settings.starts import imaging_designs
 from tasklens.study import tables
 from tasklens.study.loading import parse
 from tasklens.study.study import TABLES
@@ -42,7 +43,7 @@ def make() -> None:
     """Run all jobs in the order of their dependencies."""
     finish("images", STUDY)
     finish("reference", STUDY, classifier="small")
-    imaging = list(STUDY.imaging_designs)
+    imaging = list(imaging_designs(STUDY.designs))
     for name in (*imaging, *(name for name in STUDY.designs if name not in imaging)):
         for rule in ("design", "psfs"):
             finish(rule, STUDY, lens=f"singlet-{name}", seed=0)

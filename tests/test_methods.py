@@ -8,25 +8,26 @@ from rules import ROOT
 import tasklens
 from tasklens.cli.app import main
 from tasklens.runtime.errors import InputError
-from tasklens.study import single
+from tasklens.settings.design_methods import methods
+from tasklens.settings.lens_settings import TRAINING, lens_settings
 from tasklens.study.loading import load, parse
 from tasklens.study.study import StudyError
 
 CRITERIA = ("task", "spot", "image_error", "log_image_error", "correlation", "contrast")
 
 
-def study(method: str, settings: dict):
-    given = method in ("task", *single.TRAINING)
-    return single.study(method, ["COC"], {}, settings, {}, (), None, None, network_given=given)
+def designed(method: str, settings: dict):
+    given = method in ("task", *TRAINING)
+    return lens_settings(method, ["COC"], {}, settings, {}, (), None, None, network_given=given)
 
 
-@pytest.mark.parametrize("method", [name for name in single.methods() if name != "least_squares"])
+@pytest.mark.parametrize("method", [name for name in methods() if name != "least_squares"])
 @pytest.mark.parametrize("criterion", CRITERIA)
 @pytest.mark.parametrize("rate", [None, 1e-3])
 @pytest.mark.parametrize("form", ["list", "several", "number"])
 def test_a_method_keeps_its_criterion_and_its_use_of_the_network(method, criterion, rate, form):
     """Every criterion and network learning rate, in all forms of settings: accepted if they are those of the method."""
-    own = single.methods()[method]["descents"][-1]
+    own = methods()[method]["descents"][-1]
     change = {"criterion": criterion} | ({} if rate is None else {"network_learning_rate": rate})
     settings = {
         "list": {"start": ["least_squares"], "descents": [{"steps": 2, **change}]},
@@ -37,12 +38,12 @@ def test_a_method_keeps_its_criterion_and_its_use_of_the_network(method, criteri
         "number": {"start": ["least_squares"], "descents": {"0": change}},
     }[form]
     trains = rate is not None or (form == "number" and "network_learning_rate" in own)
-    kept = criterion == own.get("criterion", "task") and trains == (method in single.TRAINING)
+    kept = criterion == own.get("criterion", "task") and trains == (method in TRAINING)
     if kept:
-        assert study(method, settings).designs[method].descents[-1].criterion == criterion
+        assert designed(method, settings).designs[method].descents[-1].criterion == criterion
     else:
         with pytest.raises(InputError, match=f"{method}|network_learning_rate"):
-            study(method, settings)
+            designed(method, settings)
 
 
 def test_a_descent_before_the_last_brings_no_network_into_a_method_without_one():
@@ -51,22 +52,22 @@ def test_a_descent_before_the_last_brings_no_network_into_a_method_without_one()
     for first, accepted in (("spot", True), ("log_image_error", True), ("task", False)):
         settings = {"start": "flat", "descents": [{"steps": 2, "criterion": first}, last]}
         if accepted:
-            study("correlation", settings)
+            designed("correlation", settings)
         else:
             with pytest.raises(InputError, match="method correlation: expected descents without a network"):
-                study("correlation", settings)
-    study("joint", {"start": "flat", "descents": [{"steps": 2}, {"steps": 2, "network_learning_rate": 1e-3}]})
+                designed("correlation", settings)
+    designed("joint", {"start": "flat", "descents": [{"steps": 2}, {"steps": 2, "network_learning_rate": 1e-3}]})
     for descents in (
         [{"steps": 2, "network_learning_rate": 1e-3}, {"steps": 2}],
         {"0": {"network_learning_rate": None, "final": 0.1}},
     ):
         with pytest.raises(InputError, match="method joint: expected a network_learning_rate in its last descent"):
-            study("joint", {"start": "flat", "descents": descents})
+            designed("joint", {"start": "flat", "descents": descents})
 
 
 def test_descents_are_no_least_squares():
     with pytest.raises(InputError, match="method least_squares: expected its own settings, got `method: descents`"):
-        study("least_squares", {"method": "descents", "descents": [{"steps": 2, "criterion": "spot"}]})
+        designed("least_squares", {"method": "descents", "descents": [{"steps": 2, "criterion": "spot"}]})
 
 
 def test_the_command_refuses_them_too(tmp_path, capsys):
@@ -83,7 +84,7 @@ def test_from_flat_plates_a_design_has_the_schedule_of_the_studies(side, name):
     images = {"size": side, "train": 10, "minival": 2, "test": 10}
     for method, criterion in (("task", "task"), ("correlation", "correlation")):
         options = {"network_given": method == "task", "baselines": ["log_image_error"] if method == "task" else []}
-        result = single.study(method, ["COC"], {}, {"start": "flat"}, {}, (), images, None, **options)
+        result = lens_settings(method, ["COC"], {}, {"start": "flat"}, {}, (), images, None, **options)
         for design in result.designs.values():
             assert [part.steps for part in design.descents] == [part.steps for part in own.descents]
         assert {part.criterion for part in result.designs[method].descents} == {criterion}
@@ -95,15 +96,15 @@ def test_methods_without_a_schedule_from_flat_plates_refuse_them():
     """Unless they get descents. Rendered textures have their schedule whatever the window."""
     for method in ("joint", "contrast", "least_squares"):
         with pytest.raises(InputError, match=f"method {method}: has no schedule from flat plates; choose task, "):
-            study(method, {"start": "flat"})
-    wide = single.study("correlation", ["COC"], {"kernel_size": 151}, {"start": "flat"}, {}, (), None, None)
+            designed(method, {"start": "flat"})
+    wide = lens_settings("correlation", ["COC"], {"kernel_size": 151}, {"start": "flat"}, {}, (), None, None)
     assert wide.designs["correlation"].descents[0].size is None
 
 
 def test_a_study_may_name_a_method_as_its_design():
     """It is the design of `tasklens design`; a study that extends this one may change it."""
     named = parse(changed(tiny_study(), "designs.imaging1", "spot"))
-    written = parse(changed(tiny_study(), "designs.imaging1", single.methods()["spot"]))
+    written = parse(changed(tiny_study(), "designs.imaging1", methods()["spot"]))
     assert named.designs["imaging1"] == written.designs["imaging1"]
     with pytest.raises(StudyError, match=r"designs\.imaging1"):
         parse(changed(tiny_study(), "designs.imaging1", "spots"))

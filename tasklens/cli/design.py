@@ -116,7 +116,7 @@ def design(
 
     tasklens design --start mine.zmx --method contrast --free curvature,thickness -o better.zmx
     """
-    from tasklens.study.single import TRAINING
+    from tasklens.settings.lens_settings import TRAINING
 
     from_flat = start == Path("flat")
     start = None if from_flat else start
@@ -208,13 +208,11 @@ def design(
 @contextmanager
 def _keys_as_options() -> Iterator[None]:
     """Replace keys of a study by options of this command in error messages."""
-    from tasklens.study.single import NETWORK
-
     try:
         yield
     except InputError as error:
         text = re.sub(r"\bconstraints\.(\w+)", r"--limit \1", str(error))
-        text = text.replace(f"classifiers.{NETWORK}: ", "--network ")
+        text = re.sub(r"^(?:classifiers\.)?network: ", "--network ", text)
         text = re.sub(r"\bspec\.(\w+?)(?:_deg|_mm|_um)?\b", lambda key: f"--{key[1].replace('_', '-')}", text)
         raise InputError(text) from None
 

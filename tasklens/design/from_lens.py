@@ -13,7 +13,7 @@ from pydantic import ValidationError
 from tasklens.design import methods
 from tasklens.design.constraints import BUFFER, buffer_scale, limit_margins
 from tasklens.design.merit import limit_semi_diameters
-from tasklens.design.supervisors import OF_STUDY, Designs, Supervisors, supervisors
+from tasklens.design.supervisors import OF_SETTINGS, Designs, Supervisors, supervisors
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import check_focal_length, paraxial
@@ -23,10 +23,9 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.settings.layers import merged_settings
+from tasklens.settings.lens_settings import lens_settings
 from tasklens.settings.messages import in_words, problems
 from tasklens.settings.specification import Constraints, Spec
-from tasklens.study import single
-from tasklens.study.tables import lens_design
 
 _F_NUMBER = 1e-2  # relative change of the F-number that is mentioned
 _WIDEST = 150  # degrees, as in `Spec`
@@ -60,7 +59,7 @@ def design(
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
     seed: int,
-    user: Supervisors = OF_STUDY,
+    user: Supervisors = OF_SETTINGS,
     baselines: Sequence[str] = (),
     remark: Callable[[str], None] = warnings.warn,
 ) -> Designs:
@@ -68,11 +67,11 @@ def design(
 
     Args:
         file: the lens, with its view.
-        method: one of `single.methods` that designs by descents.
+        method: one of `methods` that designs by descents.
         free: free variables by name, with their surfaces, as for `resolved`.
         settings: settings of the method that differ from its defaults.
         constraints: limits that differ from those of a study. They are enforced; the others are relaxed to the lens.
-        images, classifier: sections of a study file.
+        images, classifier: keys of `ImageSettings` and `ClassifierSettings`.
         seed: seed of all random numbers.
         user: images, network and task of a user.
         baselines: criteria for comparison; each improves the lens with the same effort.
@@ -111,7 +110,7 @@ def design(
         settings = merged_settings(_SPOT, settings)
     pixels = {"kernel_size": spec.kernel_size, "pixel_pitch_um": spec.pixel_pitch_um}
     options = {**settings, "free": {name: list(surfaces) for name, surfaces in free.items()}, "keep_apertures": True}
-    study = single.study(
+    chain = lens_settings(
         method,
         ("COC",),
         pixels,
@@ -130,9 +129,9 @@ def design(
     plastics = tuple(dict.fromkeys(file.lens.media))
     lenses, notes = {"start": file.lens}, dict[str, Any]()
     with tempfile.TemporaryDirectory() as folder:
-        supervision = supervisors(study, Path(folder), user)
-        for name in study.lenses:
-            plan = lens_design(study, name, seed)
+        plans = list(chain.plans(seed).values())
+        supervision = supervisors(plans, chain.images, Path(folder), user)
+        for plan in plans:
             entry = plan.entry.model_copy(update={"plastics": plastics})
             plan = plan.model_copy(update={"entry": entry, "spec": spec, "constraints": limits})
             lenses[entry.design_name], notes, _, trained = methods.design(

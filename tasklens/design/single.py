@@ -24,9 +24,7 @@ from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, as_paths
-from tasklens.study import single
-from tasklens.study.study import Study
-from tasklens.study.tables import candidates, lens_design, starts
+from tasklens.settings.lens_settings import LensSettings, lens_settings
 
 _IMAGES = 2000  # largest number of images of a folder or a data set
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
@@ -91,13 +89,13 @@ def designs(
     elements = _ELEMENTS if elements is None else elements
     spots: dict[str, float] = {}
 
-    def study_of(combination: Sequence[str]) -> Study:
+    def settings_of(combination: Sequence[str]) -> LensSettings:
         options = (spec, settings or {}, constraints or {}, files, section, classifier)
-        return single.study(method, combination, *options, baselines=baselines, network_given=module is not None)
+        return lens_settings(method, combination, *options, baselines=baselines, network_given=module is not None)
 
     if any(substitution.ALTERNATIVE in element for element in elements):
         for combination in substitution.covering(elements):
-            study_of(combination)  # errors come before the search
+            settings_of(combination)  # errors come before the search
 
         def spot(combination: Sequence[str]) -> float:
             options: Any = {"constraints": constraints, "catalogues": catalogues, "seed": seed, "spec": spec}
@@ -105,31 +103,31 @@ def designs(
             return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
 
         elements, spots = substitution.sharpest(elements, spot)
-    study = study_of(elements)
-    for name, entry in study.lenses.items():
-        if len(start_names := starts(study, name)) > 1:
+    chain = settings_of(elements)
+    plans = chain.plans(seed)
+    for plan in plans.values():
+        if len(plan.starts) > 1:
             raise InputError(
-                f"{entry.design_name} starts from one lens, got {', '.join(start_names)}; choose one with `start` (on "
-                f"the command line --set start=[{study.lens(start_names[0]).design_name}])"
+                f"{plan.entry.design_name} starts from one lens, got {', '.join(plan.starts)}; choose one with `start` "
+                f"(on the command line --set start=[{plans[plan.starts[0]].entry.design_name}])"
             )
-    view = view_of_spec(study.spec)
+    view = view_of_spec(chain.spec)
     lenses: dict[str, Lens] = {}
     notes: dict[str, Any] = {}
     with tempfile.TemporaryDirectory() as folder:
-        supervision = supervisors(study, Path(folder), user)
-        for name in study.lenses:
-            entry = study.lens(name)
+        supervision = supervisors(list(plans.values()), chain.images, Path(folder), user)
+        for name, plan in plans.items():
             lenses[name], notes, _, trained = methods.design(
-                lens_design(study, name, seed),
-                supervision.network if entry.classified else None,
-                supervision.images if entry.reads_images else None,
-                {other: (lenses[other], 0.0) for other in starts(study, name)},
-                {other: lenses[other] for other in candidates(study, name)},
-                task=supervision.task if entry.classified else None,
+                plan,
+                supervision.network if plan.entry.classified else None,
+                supervision.images if plan.entry.reads_images else None,
+                {other: (lenses[other], 0.0) for other in plan.starts},
+                {other: lenses[other] for other in plan.candidates},
+                task=supervision.task if plan.entry.classified else None,
             )
     if spots:
         notes["origin"]["materials_tried_rms_um"] = spots
-    named = {study.lens(name).design_name: lens for name, lens in lenses.items()}
+    named = {plans[name].entry.design_name: lens for name, lens in lenses.items()}
     prescription = with_system_data(Prescription(lenses[name]), view)
     return Designs(named, view, notes, supervision, prescription, trained)
 
@@ -165,7 +163,7 @@ def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str
 
 
 def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
-    """Return the `images` section of a study, and the data set of a user in Python; None for the absent one."""
+    """Return the settings of the images, and the data set of a user in Python; None for the absent one."""
     if size is not None and not isinstance(images, str | Path):
         raise InputError("size: only for a folder of photographs, `images` (--images)")
     if images is None:

@@ -1,4 +1,4 @@
-"""Images and network that supervise the designs of a study, or of a user in Python."""
+"""Images and network that supervise designs: from settings, or of a user in Python."""
 
 import sys
 from collections.abc import Callable, Mapping, Sequence
@@ -19,9 +19,10 @@ from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
 from tasklens.runtime.errors import InputError
 from tasklens.settings.design_settings import DescentSettings
-from tasklens.settings.image_settings import RENDERED_CLASSES
-from tasklens.study.study import Study
+from tasklens.settings.image_settings import RENDERED_CLASSES, ImageSettings
+from tasklens.settings.lens_entries import LensDesign
 
+_NAME = "network"  # of the network, in messages
 _SHARP = 500  # largest number of sharp images on which the network is tried
 
 Loss = Callable[[Tensor, Tensor], Tensor]
@@ -36,7 +37,7 @@ class Supervisors:
     task: Task | None = None
 
 
-OF_STUDY = Supervisors()  # images, network and task of the study
+OF_SETTINGS = Supervisors()  # images and network by the settings of the designs
 
 
 @dataclass(frozen=True)
@@ -98,19 +99,23 @@ class UserTask(Task):
         return losses if losses.dim() else losses.expand(len(captures))
 
 
-def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Supervisors:
-    """Return the supervisors of the designs of a study; a network is first tried on sharp images.
+def supervisors(
+    plans: Sequence[LensDesign], settings: ImageSettings, folder: Path, user: Supervisors = OF_SETTINGS
+) -> Supervisors:
+    """Return the supervisors of designs; a network is first tried on sharp images.
 
     Args:
+        plans: settings of the designs.
+        settings: settings of their images.
         folder: folder for a file of converted images.
-        user: images, network and task of a user, in place of those of the study.
+        user: images, network and task of a user, in place of those of the settings.
 
     Raises:
         InputError: the network cannot be built, recognises nothing, or has an answer or a loss that cannot be used.
     """
     from tasklens.recognition import classifiers, dataset, sharp
 
-    entries = study.lenses.values()
+    entries = [plan.entry for plan in plans]
     classified = any(entry.classified for entry in entries)
     if not any(entry.reads_images for entry in entries):
         return Supervisors()
@@ -118,18 +123,18 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     if not isinstance(network, nn.Module | None):
         raise InputError(f"network: expected a torch.nn.Module or its settings, got {type(network).__name__}")
     if classified and network is None:  # checked before photographs are read
-        settings, classes = study.classifier(study.supervisor), _classes(study, user)
-        classifiers.check(study.supervisor, settings, study.images.size, len(classes))
+        classifier, classes = next(plan.classifier for plan in plans if plan.classifier), _classes(settings, user)
+        classifiers.check(_NAME, classifier, settings.size, len(classes))
         torch.manual_seed(0)
-        network = classifiers.build(settings, classes)
+        network = classifiers.build(classifier, classes)
     if user.images is not None:
         if classified and user.task is None:
             user_images.check_classes(user.images)
         images = replace(user.images, device=device)
     else:
-        if classified and user.task is None and study.images.folder is not None:
-            class_folders.training_classes(study.images.folder)  # two or more
-        images = dataset.training_images(study.images, folder / "images.npy", device=device)
+        if classified and user.task is None and settings.folder is not None:
+            class_folders.training_classes(settings.folder)  # two or more
+        images = dataset.training_images(settings, folder / "images.npy", device=device)
     if not classified or network is None:
         return Supervisors(images)
     if user.network is not None and (user.task is None or hasattr(network, "pretrained_cfg")):
@@ -157,12 +162,12 @@ def supervisors(study: Study, folder: Path, user: Supervisors = OF_STUDY) -> Sup
     return Supervisors(images, network, user.task)
 
 
-def _classes(study: Study, user: Supervisors) -> Sequence[str]:
+def _classes(settings: ImageSettings, user: Supervisors) -> Sequence[str]:
     """Return the names of the classes of the images, without reading the images."""
     if user.images is not None:
         return user.images.classes
-    if study.images.folder is not None:
-        return class_folders.training_classes(study.images.folder)
+    if settings.folder is not None:
+        return class_folders.training_classes(settings.folder)
     return [str(k) for k in range(RENDERED_CLASSES)]
 
 

@@ -13,7 +13,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import explained
-from tasklens.study.single import TRAINING
+from tasklens.settings.lens_settings import TRAINING
 
 
 @explained

@@ -15,11 +15,11 @@ from tasklens.pipeline.forecast import COMPARABLE, LARGE, duration, durations_of
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
 from tasklens.settings import names
+from tasklens.settings.design_methods import with_named_designs
 from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.study import tables as paper_tables
-from tasklens.study.design_methods import with_named_designs
 from tasklens.study.effort import effort
 from tasklens.study.loading import parse
 from tasklens.study.study import Study

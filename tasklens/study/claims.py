@@ -10,6 +10,7 @@ from tasklens.settings.frozen import Frozen
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import LensEntry
 from tasklens.settings.names import SHARP
+from tasklens.settings.starts import best_of, imaging_designs
 from tasklens.study.study import Study, pick
 from tasklens.study.tables import LensKey, MeasuredKey, starts, tables
 
@@ -134,10 +135,10 @@ def regime_claims(study: Study) -> Claims:
     """Compare each task-driven lens with the best imaging lens of its elements, by the supervisor (table 1)."""
     comparisons = [
         _of_supervisor(
-            study, "table1", OVER_IMAGING, lens.name, [f"{lens.elements}-{n}" for n in study.imaging_designs]
+            study, "table1", OVER_IMAGING, lens.name, [f"{lens.elements}-{n}" for n in imaging_designs(study.designs)]
         )
         for lens in study.lenses.values()
-        if lens.task_driven and study.imaging_designs
+        if lens.task_driven and imaging_designs(study.designs)
     ]
     return Claims(study=study.name, claims=tuple(comparisons), seeds=study.seeds)
 
@@ -183,7 +184,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             imaging = [
                 other
                 for other in study.lenses.values()
-                if other.design_name in study.imaging_designs
+                if other.design_name in imaging_designs(study.designs)
                 and study.lens_spec(other.name) == study.lens_spec(lens.name)
             ]
             counts = sorted({len(other.plastics) for other in imaging})
@@ -209,7 +210,7 @@ def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             comparisons += [
                 (OVER_END_TO_END, lens.name, (other.name,))
                 for other in same
-                if other.end_to_end and other.start in study.best_of
+                if other.end_to_end and other.start in best_of(study.designs)
             ]
         elif lens.end_to_end and lens.start == "flat" and lens.descents[0].optimizer == "adamw":
             comparisons.append((FLAT_FAILS, lens.name, ()))

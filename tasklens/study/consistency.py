@@ -5,6 +5,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tasklens.fields import SELECTION
+from tasklens.settings import feasibility, starts
 from tasklens.settings import field_settings as fields
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import (
@@ -14,7 +15,7 @@ from tasklens.settings.design_settings import (
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
 from tasklens.settings.messages import in_words
-from tasklens.study import ablations, feasibility
+from tasklens.study import ablations
 from tasklens.study.study import Study
 
 _RESERVED = {  # names by section, and their use
@@ -178,12 +179,8 @@ def lenses_with_keys(study: Study) -> list[tuple[str, LensEntry]]:
 def _check_design(study: Study, where: str, lens: LensEntry) -> None:
     design = lens.design
     kernel_size = study.lens_spec(lens.name).kernel_size
-    for k, descent in enumerate(lens.descents):
-        if descent.size is not None and not kernel_size // 2 < descent.size <= study.images.size:
-            raise ValueError(
-                f"{where}.descents.{k}.size: expected more than half of spec.kernel_size = {kernel_size} and at most "
-                f"images.size = {study.images.size}, got {descent.size}"
-            )
+    if isinstance(design, GradientDesignSettings):
+        feasibility.check_descents(where, design, kernel_size, study.images.size)
     sizes = {"images.size": study.images.size}
     if study.tasks.networks:
         sizes["tasks.scenes.size"] = study.tasks.scenes.size
@@ -195,21 +192,9 @@ def _check_design(study: Study, where: str, lens: LensEntry) -> None:
             )
     if not isinstance(design, GradientDesignSettings):
         return
-    feasibility.check_step(f"{where}.batch_size", design.batch_size, study.images.size)
-    for k, descent in enumerate(design.descents):
-        if descent.batch_size is not None:
-            feasibility.check_step(f"{where}.descents.{k}.batch_size", descent.batch_size, study.images.size)
-    if study.best_of.get(str(design.start)) == ():
-        quality = " or image quality" * (design.start == "best_imaging")
-        raise ValueError(f"{where}.start: {design.start!r} needs a design by spot or least squares{quality}")
-    choices = [name for name, other in study.imported.items() if other.elements == lens.elements]
-    choices += study.designs if design.by_network else study.imaging_starts
-    choices = [name for name in choices if name not in (lens.design_name, *study.vignetted_designs)]
+    imported = [name for name, other in study.imported.items() if other.elements == lens.elements]
+    starts.check(where, lens.design_name, design, study.designs, imported)
     for name in design.starting_designs:
-        if name not in choices:
-            raise ValueError(
-                f"{where}.start: {name!r} cannot be the start of this design; expected one of {', '.join(choices)}"
-            )
         if name in study.imported:
             _check_imported_start(study, where, lens, name)
     _check_acyclic(study, where, lens.design_name, design)
@@ -230,17 +215,17 @@ def _starts(study: Study, design: DesignSettings) -> tuple[str, ...]:
     """Return the designs that a design may start from, also those that `best_imaging` or `best_spot` may choose."""
     if not isinstance(design, GradientDesignSettings):
         return ()
-    return study.best_of.get(str(design.start), design.starting_designs)
+    return starts.best_of(study.designs).get(str(design.start), design.starting_designs)
 
 
 def _check_acyclic(study: Study, where: str, name: str, design: DesignSettings) -> None:
     """Check that no design starts from itself, directly or by way of other designs; raises ValueError."""
-    starts = _starts(study, design)
-    queue, seen = list(starts), set()
+    first = _starts(study, design)
+    queue, seen = list(first), set()
     while queue:
         other = queue.pop()
         if other == name:
-            raise ValueError(f"{where}.start: {name} would start from itself, through {', '.join(starts)}")
+            raise ValueError(f"{where}.start: {name} would start from itself, through {', '.join(first)}")
         if other not in seen:
             seen.add(other)
             queue += _starts(study, study.designs[other]) if other in study.designs else ()

@@ -1,8 +1,6 @@
 """Reading and writing of study files (YAML)."""
 
-import math
 from collections.abc import Mapping, Sequence
-from datetime import date
 from functools import reduce
 from pathlib import Path
 from typing import Any, get_args, get_origin
@@ -12,11 +10,12 @@ from pydantic import ValidationError
 
 from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError
+from tasklens.settings.design_methods import with_named_designs
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.messages import missing_keys, problems, suggestion
+from tasklens.settings.plain import check_plain
 from tasklens.settings.quantities import Name
 from tasklens.study import consistency
-from tasklens.study.design_methods import with_named_designs
 from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
 
@@ -41,7 +40,7 @@ def parse(config: Mapping, files: Sequence[Path] = ()) -> Study:
     try:
         study = Study.model_validate(config)
         consistency.check(study)
-        _check_plain(config, "")
+        check_plain(config, "")
         return study
     except ValidationError as error:
         missing = missing_keys(error)
@@ -70,23 +69,6 @@ def without_null(config: Mapping) -> dict[str, Any]:
         else value
         for key, value in config.items()
     }
-
-
-def _check_plain(value: Any, where: str) -> None:
-    """Reject YAML values that a resolved study cannot hold; raises ValueError with the key."""
-    if isinstance(value, Mapping):
-        for key, inner in value.items():
-            name = f"{where}.{key}" if where else str(key)
-            if not isinstance(key, str):
-                raise ValueError(f"{name}: expected a key that is text, found {key!r}; write it in quotes")
-            _check_plain(inner, name)
-    elif isinstance(value, list | tuple):
-        for index, inner in enumerate(value):
-            _check_plain(inner, f"{where}.{index}")
-    elif isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{where} = {value}: expected a finite number")
-    elif isinstance(value, date | bytes | set):
-        raise ValueError(f"{where} = {value!s}: expected a number, text, true, false or null; write text in quotes")
 
 
 def with_base_study(config: Mapping, folder: Path) -> dict[str, Any]:

@@ -13,7 +13,6 @@ from tasklens.runtime.files import FileError
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import (
     DesignSettings,
-    GradientDesignSettings,
     LeastSquaresSettings,
 )
 from tasklens.settings.field_settings import FieldSettings, Points, points
@@ -191,35 +190,6 @@ class Study(Frozen):
         """Lenses of the variants of all ablations, by name."""
         entries = [self.variant(name, variant) for name, item in self.ablations.items() for variant in item.variants]
         return {lens.name: lens for lens in entries}
-
-    @property
-    def imaging_designs(self) -> tuple[str, ...]:
-        """Names of the imaging designs: those without a network."""
-        return tuple(
-            name
-            for name, design in self.designs.items()
-            if not (isinstance(design, GradientDesignSettings) and design.by_network)
-        )
-
-    @property
-    def imaging_starts(self) -> tuple[str, ...]:
-        """Names of the imaging designs that other designs may start from: all whose apertures stop no light."""
-        return tuple(name for name in self.imaging_designs if name not in self.vignetted_designs)
-
-    @property
-    def best_of(self) -> dict[str, tuple[str, ...]]:
-        """Names of the designs of which the most accurate is the start, by the keyword of `start`."""
-        spots = (
-            name
-            for name in self.imaging_starts
-            if all(descent.criterion == "spot" for descent in getattr(self.designs[name], "descents", ()))
-        )
-        return {"best_imaging": self.imaging_starts, "best_spot": tuple(spots)}
-
-    @property
-    def vignetted_designs(self) -> tuple[str, ...]:
-        """Names of the designs whose apertures stop light."""
-        return tuple(name for name, design in self.designs.items() if getattr(design, "vignetting", None) is not None)
 
     def lens(self, name: str) -> LensEntry:
         """Return the lens `name`; raises StudyError with the known names."""

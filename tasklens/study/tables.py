@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 from tasklens.fields import GRADING_CENTRES, PAPER
 from tasklens.settings import names
-from tasklens.settings.design_settings import GradientDesignSettings
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.lens_entries import LensDesign
 from tasklens.settings.names import SHARP
+from tasklens.settings.starts import compared_by_accuracy, compared_by_criterion
 from tasklens.study.study import Study
 
 _SEEDS = 1000  # distance between the seeds of designs for two sets of images: each set has draws of its own
@@ -151,20 +151,13 @@ def starts(study: Study, lens: str) -> tuple[str, ...]:
     Imported lenses are left out, so that importing a baseline changes no other row.
     """
     entry = study.lens(lens)
-    named: tuple[str, ...] = ()
-    if isinstance(entry.design, GradientDesignSettings):
-        if entry.design.descents[-1].trains_network:
-            named = entry.design.starting_designs
-        named = study.best_of.get(str(entry.design.start), named)
-    return tuple(f"{entry.elements}-{name}" for name in named)
+    return tuple(f"{entry.elements}-{name}" for name in compared_by_accuracy(entry.design, study.designs))
 
 
 def candidates(study: Study, lens: str) -> tuple[str, ...]:
     """Return the lenses of which the best by the criterion of a design is its start; empty for other designs."""
     entry = study.lens(lens)
-    if not isinstance(entry.design, GradientDesignSettings) or entry.design.descents[-1].trains_network:
-        return ()
-    return tuple(f"{entry.elements}-{name}" for name in entry.design.starting_designs)
+    return tuple(f"{entry.elements}-{name}" for name in compared_by_criterion(entry.design))
 
 
 def chosen_lenses(study: Study, designs: tuple[str, ...] | None) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 from tasklens.materials.material import Material
 from tasklens.runtime.errors import InputError
+from tasklens.settings.design_settings import GradientDesignSettings
 from tasklens.settings.specification import Constraints, Spec
 
 
@@ -58,6 +59,26 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
             f"{limits.max_track} mm and flat_track = {limits.flat_track} focal lengths allow {available:.2f} mm; a "
             "flat start would have a negative thickness"
         )
+
+
+def check_descents(where: str, design: GradientDesignSettings, kernel_size: int, size: int) -> None:
+    """Check the sizes of images and steps in the descents of a design; raises ValueError.
+
+    Args:
+        where: key of the design.
+        kernel_size: width of the PSF window [pixels].
+        size: side of the images [pixels].
+    """
+    for k, descent in enumerate(design.descents):
+        if descent.size is not None and not kernel_size // 2 < descent.size <= size:
+            raise ValueError(
+                f"{where}.descents.{k}.size: expected more than half of spec.kernel_size = {kernel_size} and at most "
+                f"images.size = {size}, got {descent.size}"
+            )
+    check_step(f"{where}.batch_size", design.batch_size, size)
+    for k, descent in enumerate(design.descents):
+        if descent.batch_size is not None:
+            check_step(f"{where}.descents.{k}.batch_size", descent.batch_size, size)
 
 
 def check_step(where: str, images: int, size: int) -> None:
