@@ -24,7 +24,6 @@ from tasklens.settings.network_settings import ClassifierSettings
         ),
         ("network", "ratio", ["--rounds", "1"]),
         ("cost", "GPU-hours", ["config/smoke.yaml"]),
-        ("cluster", "peak [GB]", ["config/smoke.yaml"]),
         pytest.param("growth", "growth [%]", [], marks=pytest.mark.slow),
         ("existing_lenses", "ray by ray", []),
     ],
@@ -68,26 +67,6 @@ def test_operations_are_those_of_the_published_networks(monkeypatch):
         with torch.device("meta"):
             network = cost.build_classifier(ClassifierSettings(model=model, pretrained=True))
         assert cost.operations(network, 224) == pytest.approx(operations, rel=0.02)
-
-
-def test_a_run_is_simulated_with_priorities_and_failures(monkeypatch):
-    """Two of three short jobs at a time, then the long one that waits for the first; the same with the same seed."""
-    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
-    scheduling = importlib.import_module("scheduling")
-
-    def job(hours: float, *needs: str, gpus: int = 1, saved: float = 0.0):
-        return scheduling.Job("any", hours, gpus, 0, frozenset(needs), saved)
-
-    jobs = {"a": job(2), "b": job(1), "c": job(1), "long": job(5, "a", saved=0.5), "table": job(0.5, "long", gpus=0)}
-    run = scheduling.simulate(jobs, 2, lambda name: 0)
-    assert (run.hours, run.busy, run.failures) == (7.5, 9, 0)
-    assert scheduling.simulate(jobs, 1, lambda name: 0).hours == 9.5
-    assert scheduling.simulate(jobs, 1, lambda name: name != "c").hours == 9.5
-    assert scheduling.critical_path(jobs) == ["a", "long", "table"]
-    assert scheduling.chains(jobs)["a"] == 7.5
-    again, resumed = (scheduling.simulate(jobs, 2, lambda name: 0, 0.5, how, seed=5) for how in (False, True))
-    assert again.failures == resumed.failures > 0 and 9 < resumed.busy < again.busy
-    assert again == scheduling.simulate(jobs, 2, lambda name: 0, 0.5, False, seed=5)
 
 
 def test_times_are_taken_in_turn(monkeypatch, capsys):
