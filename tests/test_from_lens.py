@@ -9,7 +9,7 @@ from examples import cooke_triplet, f64
 
 import tasklens
 from tasklens.cli.app import main
-from tasklens.design import from_lens, substitution
+from tasklens.design import from_lens
 from tasklens.design.constraints import BUFFER, all_margins, manufacturing_margins, spaces
 from tasklens.design.ray_space import RaySpace
 from tasklens.optics.analysis.datasheet import figures
@@ -227,26 +227,6 @@ def test_impossible_options_are_refused(tmp_path, monkeypatch, capsys, arguments
     method = () if "--method" in arguments else ("--method", "spot")
     assert main([*COMMAND, *method, *arguments]) == 2
     assert words in capsys.readouterr().err and not (tmp_path / "better.zmx").exists()
-
-
-def test_materials_are_chosen_from_a_list():
-    """Among choices for each element, the combination with the sharpest brief design; all spots are kept."""
-    assert substitution.combinations(["COC|PMMA|COC", "OKP4"]) == [("COC", "OKP4"), ("PMMA", "OKP4")]
-    spots = {("COC", "PC"): 3.0, ("COC", "OKP4"): 1.0, ("PMMA", "PC"): 2.0, ("PMMA", "OKP4"): 4.0}
-    best, tried = substitution.sharpest(["COC|PMMA", "PC|OKP4"], lambda materials: spots[materials])
-    assert best == ("COC", "OKP4") and next(iter(tried.items())) == ("COC,OKP4", 1.0) and len(tried) == 4
-    with pytest.raises(InputError, match="3125 combinations of materials; expected at most 1000"):
-        substitution.combinations(["A|B|C|D|E"] * 5)
-
-
-@pytest.mark.slow
-def test_a_design_with_a_choice_of_materials():
-    """The final design has the materials of the sharpest brief design; the file keeps all spots."""
-    quick, room = {"evaluations": 60, "starts": 3}, {"max_track": 8.0}
-    spec = {"field_of_view_deg": 40, "f_number": 4}
-    lens, _, notes = tasklens.design_lens("least_squares", ["COC|OKP4"], settings=quick, constraints=room, **spec)
-    tried = notes["origin"]["materials_tried_rms_um"]
-    assert set(tried) == {"COC", "OKP4"} and lens.media[1].name == min(tried, key=tried.get)
 
 
 def test_what_was_assumed_is_a_warning_in_python(tmp_path):

@@ -41,7 +41,7 @@ def design(
     ],
     elements: Annotated[
         str | None,
-        typer.Option(help="Materials from front to back, by default COC,OKP4; with choices: COC|PMMA,OKP4|PC."),
+        typer.Option(help="Materials from front to back, by default COC,OKP4."),
     ] = None,
     method: Annotated[str | None, typer.Option(help=_METHOD, show_default=False)] = None,
     seed: Seed = 0,

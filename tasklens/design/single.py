@@ -10,7 +10,7 @@ from typing import Any
 
 from torch import nn
 
-from tasklens.design import from_lens, methods, substitution
+from tasklens.design import from_lens, methods
 from tasklens.design.supervisors import Designs, Loss, Supervisors, UserTask, supervisors
 from tasklens.materials.library import user_files
 from tasklens.optics.analysis.datasheet import spec_of
@@ -24,13 +24,12 @@ from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, as_paths
-from tasklens.settings.lens_settings import LensSettings, lens_settings
+from tasklens.settings.lens_settings import lens_settings
 
 _IMAGES = 2000  # largest number of images of a folder or a data set
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
 _ELEMENTS = ("COC", "OKP4")
 _OF_THE_START = ("elements", "diagonal_mm", "aspect")  # what a lens that is improved keeps
-_BRIEF = 1000  # evaluations of least squares for each combination of materials
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
 
 
@@ -87,23 +86,8 @@ def designs(
     if free is not None:
         raise InputError("free: only with `start`, the file of a lens")
     elements = _ELEMENTS if elements is None else elements
-    spots: dict[str, float] = {}
-
-    def settings_of(combination: Sequence[str]) -> LensSettings:
-        options = (spec, settings or {}, constraints or {}, files, section, classifier)
-        return lens_settings(method, combination, *options, baselines=baselines, network_given=module is not None)
-
-    if any(substitution.ALTERNATIVE in element for element in elements):
-        for combination in substitution.covering(elements):
-            settings_of(combination)  # errors come before the search
-
-        def spot(combination: Sequence[str]) -> float:
-            options: Any = {"constraints": constraints, "catalogues": catalogues, "seed": seed, "spec": spec}
-            notes = designs("least_squares", combination, settings={"evaluations": _BRIEF}, **options).notes
-            return float(sum(notes["figures"]["rms_centroid_um"]) / len(notes["figures"]["rms_centroid_um"]))
-
-        elements, spots = substitution.sharpest(elements, spot)
-    chain = settings_of(elements)
+    options = (spec, settings or {}, constraints or {}, files, section, classifier)
+    chain = lens_settings(method, elements, *options, baselines=baselines, network_given=module is not None)
     plans = chain.plans(seed)
     for plan in plans.values():
         if len(plan.starts) > 1:
@@ -125,8 +109,6 @@ def designs(
                 {other: lenses[other] for other in plan.candidates},
                 task=supervision.task if plan.entry.classified else None,
             )
-    if spots:
-        notes["origin"]["materials_tried_rms_um"] = spots
     named = {plans[name].entry.design_name: lens for name, lens in lenses.items()}
     prescription = with_system_data(Prescription(lenses[name]), view)
     return Designs(named, view, notes, supervision, prescription, trained)

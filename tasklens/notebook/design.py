@@ -51,8 +51,7 @@ def design_lens(
     Args:
         method: least_squares, spot, contrast, log_image_error, correlation; with a network task, joint, end_to_end;
             None: least_squares, with `start` spot.
-        elements: materials from front to back, by name, built-in or from `catalogues`; None: COC and OKP4. "COC|PMMA"
-            lets the design choose: it tries all combinations in brief least-squares designs, and takes the sharpest.
+        elements: materials from front to back, by name, built-in or from `catalogues`; None: COC and OKP4.
         seed: seed of all random numbers.
         settings: settings of the method, by the keys of a study file, such as {"evaluations": 2000} or
             {"descents": {"0": {"steps": 200}}}.
