@@ -1,19 +1,18 @@
 """Design from a lens of the user: only the free variables change; glasses and all other values stay."""
 
 import math
-import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
 
-from tasklens.design import methods
+from tasklens.design import chain
+from tasklens.design.chain import Designs
 from tasklens.design.constraints import BUFFER, buffer_scale, limit_margins
 from tasklens.design.merit import limit_semi_diameters
-from tasklens.design.supervisors import OF_SETTINGS, Designs, Supervisors, supervisors
+from tasklens.design.supervisors import OF_SETTINGS, Supervisors
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import check_focal_length, paraxial
@@ -110,7 +109,7 @@ def design(
         settings = merged_settings(_SPOT, settings)
     pixels = {"kernel_size": spec.kernel_size, "pixel_pitch_um": spec.pixel_pitch_um}
     options = {**settings, "free": {name: list(surfaces) for name, surfaces in free.items()}, "keep_apertures": True}
-    chain = lens_settings(
+    chosen = lens_settings(
         method,
         ("COC",),
         pixels,
@@ -127,27 +126,16 @@ def design(
     for text in filter(None, (relaxed, _fixed_coefficients(file.lens, free))):
         remark(text)
     plastics = tuple(dict.fromkeys(file.lens.media))
-    lenses, notes = {"start": file.lens}, dict[str, Any]()
-    with tempfile.TemporaryDirectory() as folder:
-        plans = list(chain.plans(seed).values())
-        supervision = supervisors(plans, chain.images, Path(folder), user)
-        for plan in plans:
-            entry = plan.entry.model_copy(update={"plastics": plastics})
-            plan = plan.model_copy(update={"entry": entry, "spec": spec, "constraints": limits})
-            lenses[entry.design_name], notes, _, trained = methods.design(
-                plan,
-                supervision.network if entry.classified else None,
-                supervision.images if entry.reads_images else None,
-                {"start": (file.lens, 0.0)},
-                {},
-                task=supervision.task if entry.classified else None,
-            )
-    before, after = (
-        float(paraxial(lens, view.reference_um).f_number) for lens in (file.lens, lenses[entry.design_name])
-    )
+    plans = {}
+    for name, plan in chosen.plans(seed).items():
+        entry = plan.entry.model_copy(update={"plastics": plastics})
+        own = {"entry": entry, "spec": spec, "constraints": limits, "starts": ("start",)}
+        plans[name] = plan.model_copy(update=own)
+    result = chain.design(plans, chosen.images, user, {"start": file.lens})
+    before, after = (float(paraxial(lens, view.reference_um).f_number) for lens in (file.lens, result.lens))
     if not math.isclose(before, after, rel_tol=_F_NUMBER):
         remark(f"F-number {before:.4g} to {after:.4g}: the stop is fixed, the focal length within its limits is not")
-    return Designs(lenses, view, notes, supervision, file.prescription, trained)
+    return replace(result, view=view, prescription=file.prescription)
 
 
 def _fixed_coefficients(lens: Lens, free: Mapping[str, Sequence[int]]) -> str:

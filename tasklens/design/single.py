@@ -10,8 +10,9 @@ from typing import Any
 
 from torch import nn
 
-from tasklens.design import from_lens, methods
-from tasklens.design.supervisors import Designs, Loss, Supervisors, UserTask, supervisors
+from tasklens.design import chain, from_lens
+from tasklens.design.chain import Designs
+from tasklens.design.supervisors import Loss, Supervisors, UserTask
 from tasklens.materials.library import user_files
 from tasklens.optics.analysis.datasheet import spec_of
 from tasklens.optics.analysis.paraxial import paraxial
@@ -19,7 +20,7 @@ from tasklens.optics.io import lens_files
 from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.lens import Lens
-from tasklens.optics.view import View, view_of_spec
+from tasklens.optics.view import View
 from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
@@ -86,32 +87,11 @@ def designs(
     if free is not None:
         raise InputError("free: only with `start`, the file of a lens")
     elements = _ELEMENTS if elements is None else elements
-    options = (spec, settings or {}, constraints or {}, files, section, classifier)
-    chain = lens_settings(method, elements, *options, baselines=baselines, network_given=module is not None)
-    plans = chain.plans(seed)
-    for plan in plans.values():
-        if len(plan.starts) > 1:
-            raise InputError(
-                f"{plan.entry.design_name} starts from one lens, got {', '.join(plan.starts)}; choose one with `start` "
-                f"(on the command line --set start=[{plans[plan.starts[0]].entry.design_name}])"
-            )
-    view = view_of_spec(chain.spec)
-    lenses: dict[str, Lens] = {}
-    notes: dict[str, Any] = {}
-    with tempfile.TemporaryDirectory() as folder:
-        supervision = supervisors(list(plans.values()), chain.images, Path(folder), user)
-        for name, plan in plans.items():
-            lenses[name], notes, _, trained = methods.design(
-                plan,
-                supervision.network if plan.entry.classified else None,
-                supervision.images if plan.entry.reads_images else None,
-                {other: (lenses[other], 0.0) for other in plan.starts},
-                {other: lenses[other] for other in plan.candidates},
-                task=supervision.task if plan.entry.classified else None,
-            )
-    named = {plans[name].entry.design_name: lens for name, lens in lenses.items()}
-    prescription = with_system_data(Prescription(lenses[name]), view)
-    return Designs(named, view, notes, supervision, prescription, trained)
+    changes = spec, settings or {}, constraints or {}
+    chosen = lens_settings(
+        method, elements, *changes, files, section, classifier, baselines=baselines, network_given=module is not None
+    )
+    return chain.design(chosen.plans(seed), chosen.images, user, {})
 
 
 def _start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> LensFile:

@@ -1,18 +1,13 @@
 """Images and network that supervise designs: from settings, or of a user in Python."""
 
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import torch
 from torch import Tensor, nn
 
-from tasklens.optics.io.prescription import Prescription
-from tasklens.optics.lens import Lens
-from tasklens.optics.psf import window_remark
-from tasklens.optics.view import View
 from tasklens.recognition import class_folders, user_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
@@ -38,45 +33,6 @@ class Supervisors:
 
 
 OF_SETTINGS = Supervisors()  # images and network by the settings of the designs
-
-
-@dataclass(frozen=True)
-class Designs:
-    """A lens, its starting lenses and its baselines, by name of their designs; the lens is the last one.
-
-    Attributes:
-        notes: notes for its file.
-        supervisors: images and network of the design.
-        prescription: the lens with the data of its file; those of `start` stay.
-        trained: the network, if it was trained with the lens.
-    """
-
-    lenses: Mapping[str, Lens]
-    view: View
-    notes: dict[str, Any]
-    supervisors: Supervisors
-    prescription: Prescription
-    trained: nn.Module | None
-
-    @property
-    def trained_weights(self) -> dict[str, Tensor] | None:
-        """Weights of the trained network, without our normalisation of its input."""
-        from tasklens.recognition.classifiers import Classifier
-
-        if self.trained is None:
-            return None
-        network = self.trained.network if isinstance(self.trained, Classifier) else self.trained
-        return network.state_dict()
-
-    @property
-    def remark(self) -> str:
-        """Remark on the light outside the PSF window of the lens; empty if it is less than half."""
-        return window_remark(torch.tensor(self.notes["figures"]["energy_in_window"]), self.view.kernel_size)
-
-    @property
-    def lens(self) -> Lens:
-        """The requested lens."""
-        return list(self.lenses.values())[-1]
 
 
 class UserTask(Task):

@@ -2,8 +2,8 @@
 
 import torch
 
+from tasklens.design.chain import Designs
 from tasklens.design.single import BASELINES
-from tasklens.design.supervisors import Designs
 from tasklens.notebook.ranking import Ranking, measured, on_sharp_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import between_fields
