@@ -1,6 +1,6 @@
 """Task-driven lens design: the gradient of a classifier's loss passes through captures, PSFs and rays to the lens.
 
-Functions for notebooks (see `help()` of each):
+Functions (see `help()` of each):
 
     load_lens, save_lens    lens.yaml and Zemax files
     lens, draw              a lens from its surfaces; drawings
@@ -44,11 +44,11 @@ __all__ = [
     "trace",
 ]
 
-_MODULES = {  # of names that are not in tasklens.notebook
+_MODULES = {  # of names that are not in tasklens.api
     "InputError": "tasklens.runtime.errors",
     "Lens": "tasklens.optics.lens",
     "PsfCamera": "tasklens.imaging",
-    "Ranking": "tasklens.notebook.ranking",
+    "Ranking": "tasklens.api.ranking",
     "SensorSettings": "tasklens.settings.capture_settings",
     "View": "tasklens.optics.view",
 }
@@ -59,7 +59,7 @@ def __getattr__(name: str) -> Any:
     if name == "__version__":
         return import_module("importlib.metadata").version("tasklens")
     if name in __all__:
-        return getattr(import_module(_MODULES.get(name, "tasklens.notebook")), name)
+        return getattr(import_module(_MODULES.get(name, "tasklens.api")), name)
     raise AttributeError(f"module 'tasklens' has no attribute {name!r}")
 
 

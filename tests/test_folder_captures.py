@@ -9,8 +9,8 @@ import torch
 from PIL import Image
 
 import tasklens
+from tasklens.api import folder_captures
 from tasklens.cli.app import main
-from tasklens.notebook import folder_captures
 from tasklens.optics.view import drawn_points
 
 LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-tasklens.yaml"

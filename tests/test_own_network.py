@@ -13,12 +13,12 @@ from torch.nn.functional import cross_entropy, mse_loss
 from torch.utils.data import DataLoader, Subset
 
 import tasklens
+from tasklens.api.verdict import verdict
 from tasklens.design import supervision
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.single import BASELINES, designs
 from tasklens.design.supervision import loss_at_psf
 from tasklens.design.supervisors import UserTask
-from tasklens.notebook.verdict import verdict
 from tasklens.recognition import classifiers, user_images
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset

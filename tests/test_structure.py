@@ -33,7 +33,7 @@ FLOORS = [
     ("tasklens.design",),
     ("tasklens.study",),
     ("tasklens.report", "restoration"),
-    ("tasklens.notebook",),
+    ("tasklens.api",),
     ("tasklens.jobs",),
     ("tasklens.pipeline",),
     ("tasklens.cli",),

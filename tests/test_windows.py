@@ -11,9 +11,9 @@ from PIL import Image
 from reference_files import SHARED
 
 import tasklens
+from tasklens.api.verdict import verdict
 from tasklens.cli.app import main
 from tasklens.design.single import designs
-from tasklens.notebook.verdict import verdict
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.pipeline import screening
 

@@ -25,7 +25,7 @@ def captures(
     rays: Rays = 4096,
 ) -> None:
     """Simulate captures of all photographs of a folder, each at one field, to train a network elsewhere."""
-    from tasklens.notebook.folder_captures import FIELDS, capture_folder
+    from tasklens.api.folder_captures import FIELDS, capture_folder
     from tasklens.settings.capture_settings import SensorSettings
 
     lens = read(file)

@@ -191,7 +191,7 @@ def design(
     say_catalogue(output, lens.media)
     summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
     if test_images is not None:
-        from tasklens.notebook.verdict import verdict as judged
+        from tasklens.api.verdict import verdict as judged
 
         with progress_bars(), remarks_about(output):
             answer, ranking = judged(result, test_images)

@@ -1,4 +1,4 @@
-"""Captures of an image through a lens, for notebooks."""
+"""Captures of an image through a lens."""
 
 import warnings
 from collections.abc import Sequence

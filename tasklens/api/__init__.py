@@ -1,4 +1,4 @@
-"""Functions for notebooks, available through `import tasklens`.
+"""What `import tasklens` offers.
 
 A `Lens` has surfaces, distances and media (differentiable tensors). A `View` has the fields, wavelengths and pixels at
 which it is evaluated. Lengths are in mm; wavelengths, pixels and spots are in um.
@@ -10,11 +10,11 @@ which it is evaluated. Lengths are in mm; wavelengths, pixels and spots are in u
     captures = tasklens.simulate(lens, view, "photograph.jpg")
 """
 
-from tasklens.notebook.camera import Camera
-from tasklens.notebook.captures import simulate, simulate_whole_sensor
-from tasklens.notebook.design import design_lens
-from tasklens.notebook.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
-from tasklens.notebook.ranking import Ranking, rank
+from tasklens.api.camera import Camera
+from tasklens.api.captures import simulate, simulate_whole_sensor
+from tasklens.api.design import design_lens
+from tasklens.api.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
+from tasklens.api.ranking import Ranking, rank
 
 __all__ = [
     "Camera",

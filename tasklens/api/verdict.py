@@ -2,9 +2,9 @@
 
 import torch
 
+from tasklens.api.ranking import Ranking, measured, on_sharp_images
 from tasklens.design.chain import Designs
 from tasklens.design.single import BASELINES
-from tasklens.notebook.ranking import Ranking, measured, on_sharp_images
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import between_fields
 from tasklens.report.bootstrap import interval, resampled_means

@@ -1,4 +1,4 @@
-"""Functions for notebooks: shapes, units, gradients, and readable help."""
+"""The public functions: shapes, units, gradients, and readable help."""
 
 import importlib.metadata
 import inspect
@@ -34,7 +34,7 @@ def test_importing_it_loads_nothing_heavy():
         "; print(set(tasklens.__all__) <= set(dir(tasklens))); print(tasklens.psf.__module__, 'torch' in sys.modules)"
     )
     process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
-    assert process.stdout.splitlines() == ["set()", "True", "tasklens.notebook.lenses True"]
+    assert process.stdout.splitlines() == ["set()", "True", "tasklens.api.lenses True"]
 
 
 TYPES = {"InputError", "Lens", "Ranking", "SensorSettings", "View"}

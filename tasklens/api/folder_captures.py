@@ -7,8 +7,8 @@ from pathlib import Path
 
 import torch
 
+from tasklens.api.captures import check_light
 from tasklens.imaging import PsfCamera, check_capture
-from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens

@@ -1,4 +1,4 @@
-"""Ranking of lenses for a network, in notebooks: accuracies on the same photographs, with intervals and groups."""
+"""Ranking of lenses for a network: accuracies on the same photographs, with intervals and groups."""
 
 import warnings
 from collections.abc import Mapping, Sequence
@@ -13,9 +13,9 @@ import torch
 from timm.data import ImageNetInfo
 from torch import Tensor, nn
 
+from tasklens.api.captures import check_light
 from tasklens.fields import GRADING, GRADING_CENTRES, PAPER
 from tasklens.imaging import PsfCamera
-from tasklens.notebook.captures import check_light
 from tasklens.optics.analysis.datasheet import means
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import evaluation_psf

@@ -1,4 +1,4 @@
-"""Lenses in notebooks: read, define, write, trace, draw."""
+"""Lenses: read, define, write, trace, draw."""
 
 import math
 import warnings
