@@ -103,7 +103,7 @@ def test_a_lost_ray_costs_a_millimetre():
     """Otherwise a design could shrink its spots by losing rays."""
     x = f64([[[0.003, -0.003, 0.5, 0.0]]])
     valid = torch.tensor([[[True, True, False, True]]])
-    radius = float(SpotRadius().losses(rays_on_image(x, torch.zeros_like(x), valid)))
+    radius = float(SpotRadius().of_fields(rays_on_image(x, torch.zeros_like(x), valid), None, VIEW))
     assert radius == pytest.approx(math.sqrt((2 * 0.003**2 + 1) / 4))
 
 

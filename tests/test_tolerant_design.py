@@ -71,7 +71,7 @@ def test_validation_is_of_built_lenses(spot_lens):
 
 
 def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch):
-    """Relative illumination is traced by symmetry, which a decentred lens lacks."""
+    """Relative illumination is traced by symmetry, which a decentred lens lacks; for four sets of fields, and a step."""
     lenses = []
     monkeypatch.setattr(supervision, "relative_illumination", lambda lens, *_: lenses.append(lens) or f64([1.0] * 9))
     lit = replace(problem(), capture=CaptureSettings(sensor=SensorSettings()))
@@ -79,7 +79,7 @@ def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch
     assert math.isfinite(criterion.validation_loss(spot_lens, 1.0))
     (built_lens,) = criterion.as_built(spot_lens, 3)
     criterion.loss(built_lens, sobol_disc(16, seed=0), 1.0, torch.arange(2), 0, design=spot_lens)
-    assert len(lenses) == 2 and all(item.pose is None for item in lenses)
+    assert len(lenses) == 4 + 1 and all(item.pose is None for item in lenses)
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from tasklens.design.schedule import cosine
 from tasklens.optics.analysis.spots import centroid
 from tasklens.optics.rays import Rays
+from tasklens.optics.view import View
 from tasklens.recognition.tasks import CLASSIFICATION, Task
 from tasklens.recognition.training import parameter_groups
 
@@ -51,6 +52,20 @@ class CaptureCriterion(Criterion, ABC):
     @abstractmethod
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
         """Compute the loss (N,) of each capture (N, 3, H, W) of sharp images (N, 3, H, W) with labels (N,)."""
+
+
+class FieldCriterion(Criterion, ABC):
+    """A loss of each field, without images.
+
+    Attributes:
+        by_psf: whether it is a loss of PSFs, not of rays alone.
+    """
+
+    by_psf = True
+
+    @abstractmethod
+    def of_fields(self, rays: Rays, grid: Tensor | None, view: View) -> Tensor:
+        """Compute the loss (F,) of a lens at the fields of a view: of its rays, or, if `by_psf`, PSFs (F, W, K, K)."""
 
 
 class TaskLoss(CaptureCriterion):
@@ -135,19 +150,20 @@ class Correlation(CaptureCriterion):
         return 1 - (c * s).sum(1) / (c.norm(dim=1) * s.norm(dim=1)).clamp(min=1e-12)
 
 
-class SpotRadius(Criterion):
+class SpotRadius(FieldCriterion):
     """RMS spot radius sqrt(mean(r^2)) about the polychromatic centroid [mm]; a lost ray counts as 1 mm away."""
 
     scales_with_stop = True
+    by_psf = False
 
-    def losses(self, rays: Rays) -> Tensor:
+    def of_fields(self, rays: Rays, grid: Tensor | None, view: View) -> Tensor:
         """Compute the radius (F,) of each field."""
         middle = centroid(rays)
         squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
         return torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt()
 
 
-class Contrast(Criterion):
+class Contrast(FieldCriterion):
     """Contrast lost at a quarter and a half of the Nyquist frequency: 1 - Re(OTF), without images.
 
     OTF(f) = sum_p PSF(p) exp(-2 pi i f.p), with p from the centre of the window. It is the mean over colours, over both
@@ -155,6 +171,11 @@ class Contrast(Criterion):
     reversed contrast; the modulus, the MTF, does not. Descents on the MTF led to lenses of high MTF whose captures
     classifiers read worse (docs/notes/baselines.md).
     """
+
+    def of_fields(self, rays: Rays, grid: Tensor | None, view: View) -> Tensor:
+        """Compute the loss (F,) of PSFs."""
+        assert grid is not None  # by_psf
+        return self.losses(grid, view.directions)
 
     def losses(self, grid: Tensor, directions: Tensor) -> Tensor:
         """Compute the loss (F,) of PSFs (F, W, K, K); light outside the window has no contrast.

@@ -16,7 +16,7 @@ from torch import Tensor
 from torchvision.transforms.v2 import TrivialAugmentWide
 from torchvision.transforms.v2.functional import resize
 
-from tasklens.design.criteria import CaptureCriterion, Contrast, Criterion, SpotRadius
+from tasklens.design.criteria import CaptureCriterion, Criterion, FieldCriterion
 from tasklens.design.problem import Problem
 from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis import focus
@@ -86,6 +86,11 @@ def loss_at_psf(
         gradients.append(_gradient(batch))
     captures.backward(torch.cat(gradients).reshape(captures.shape))
     return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), _gradient(leaf).to(grid)
+
+
+def _energy(grid: Tensor) -> float:
+    """Return the mean energy of PSFs inside their window."""
+    return float(grid.detach().sum((-2, -1)).mean())
 
 
 def _gradient(leaf: Tensor) -> Tensor:
@@ -201,21 +206,22 @@ class Supervisor:
             design: lens for the illumination, if `lens` is built from it.
         """
         criterion, view = self.criterion, self.problem.view_of_step(seed)
-        weights = self.weights(view)
-        if isinstance(criterion, SpotRadius):
-            rays = trace_fields(lens, view, pupil)
-            spots = weights * criterion.losses(rays)
-            return Loss(rays, view, spots.detach(), spots.mean(), None)
-        rays, grid = self.trace(lens, view, pupil, pixels)
-        energy = float(grid.detach().sum((-2, -1)).mean())
-        if isinstance(criterion, Contrast):
-            contrasts = weights * criterion.losses(grid, view.directions)
-            return Loss(rays, view, contrasts.detach(), contrasts.mean(), energy)
+        if isinstance(criterion, FieldCriterion):
+            return self._loss_of_fields(criterion, lens, view, pupil, pixels)
         assert isinstance(criterion, CaptureCriterion) and indices is not None
+        rays, grid = self.trace(lens, view, pupil, pixels)
         images, labels = self.images(indices, self.augment)
-        settings = self.capture, self.micro_batch, self.illumination(design or lens, view), seed, weights
+        settings = self.capture, self.micro_batch, self.illumination(design or lens, view), seed, self.weights(view)
         losses, gradient = loss_at_psf(criterion, images, labels, grid, *settings)
-        return Loss(rays, view, losses, (grid * gradient).sum(), energy)
+        return Loss(rays, view, losses, (grid * gradient).sum(), _energy(grid))
+
+    def _loss_of_fields(self, criterion: FieldCriterion, lens: Lens, view: View, pupil: Tensor, pixels: float) -> Loss:
+        """Compute the loss of a lens without images."""
+        rays, grid = (
+            self.trace(lens, view, pupil, pixels) if criterion.by_psf else (trace_fields(lens, view, pupil), None)
+        )
+        losses = self.weights(view) * criterion.of_fields(rays, grid, view)
+        return Loss(rays, view, losses.detach(), losses.mean(), None if grid is None else _energy(grid))
 
     def validation_loss(self, lens: Lens, pixels: float) -> float:
         """Compute the mean loss of a lens, or of lenses built from it, on the fixed images that guide a descent."""
@@ -247,22 +253,16 @@ class Supervisor:
         lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
         state = random_state()
         torch.manual_seed(self.problem.seed)
-        views = self.problem.views_of_validation
-        if isinstance(self.criterion, CaptureCriterion):
+        criterion, views = self.criterion, self.problem.views_of_validation
+        if isinstance(criterion, FieldCriterion):
+            options = sobol_disc(_VALIDATION_RAYS, seed=0), pixels
+            of_views = [[self._loss_of_fields(criterion, each, view, *options) for view in views] for each in lenses]
+            losses = [torch.cat([loss.fields for loss in of_lens]) for of_lens in of_views]
+        else:
             lights = [self.illumination(lens, view) for view in views]
             losses = [self._capture_losses(part, built_lens, views, lights, pixels) for built_lens in lenses]
-        else:
-            losses = [torch.cat([self._ray_losses(each, view, pixels) for view in views]) for each in lenses]
         set_random_state(state)
         return torch.stack(losses).mean(0)
-
-    def _ray_losses(self, lens: Lens, view: View, pixels: float) -> Tensor:
-        """Compute the losses (F,) of rays or PSFs, with many rays."""
-        criterion, pupil, weights = self.criterion, sobol_disc(_VALIDATION_RAYS, seed=0), self.weights(view)
-        if isinstance(criterion, SpotRadius):
-            return weights * criterion.losses(trace_fields(lens, view, pupil))
-        assert isinstance(criterion, Contrast)
-        return weights * criterion.losses(self.trace(lens, view, pupil, pixels)[1], view.directions)
 
     def _capture_losses(
         self, part: slice, lens: Lens, views: Sequence[View], lights: Sequence[Tensor | None], pixels: float
