@@ -71,7 +71,7 @@ def test_validation_is_of_built_lenses(spot_lens):
 
 
 def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch):
-    """Relative illumination is traced by symmetry, which a decentred lens lacks; for four sets of fields, and a step."""
+    """It is traced by symmetry, which a decentred lens lacks; at four sets of fields, and once in a step."""
     lenses = []
     monkeypatch.setattr(supervision, "relative_illumination", lambda lens, *_: lenses.append(lens) or f64([1.0] * 9))
     lit = replace(problem(), capture=CaptureSettings(sensor=SensorSettings()))
