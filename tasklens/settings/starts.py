@@ -1,13 +1,13 @@
-"""Designs that others start from, by their names; no torch here."""
+"""DesignsByName that others start from, by their names; no torch here."""
 
 from collections.abc import Iterable, Mapping
 
 from tasklens.settings.design_settings import DesignSettings, GradientDesignSettings
 
-Designs = Mapping[str, DesignSettings]
+DesignsByName = Mapping[str, DesignSettings]
 
 
-def imaging_designs(designs: Designs) -> tuple[str, ...]:
+def imaging_designs(designs: DesignsByName) -> tuple[str, ...]:
     """Return the imaging designs: those without a network."""
     return tuple(
         name
@@ -16,12 +16,12 @@ def imaging_designs(designs: Designs) -> tuple[str, ...]:
     )
 
 
-def vignetted_designs(designs: Designs) -> tuple[str, ...]:
+def vignetted_designs(designs: DesignsByName) -> tuple[str, ...]:
     """Return the designs whose apertures stop light; no other design starts from them."""
     return tuple(name for name, design in designs.items() if getattr(design, "vignetting", None) is not None)
 
 
-def best_of(designs: Designs) -> dict[str, tuple[str, ...]]:
+def best_of(designs: DesignsByName) -> dict[str, tuple[str, ...]]:
     """Return the designs of which the most accurate is the start, by the keyword of `start`."""
     imaging = [name for name in imaging_designs(designs) if name not in vignetted_designs(designs)]
     spots = (
@@ -32,7 +32,7 @@ def best_of(designs: Designs) -> dict[str, tuple[str, ...]]:
     return {"best_imaging": tuple(imaging), "best_spot": tuple(spots)}
 
 
-def compared_by_accuracy(design: object, designs: Designs) -> tuple[str, ...]:
+def compared_by_accuracy(design: object, designs: DesignsByName) -> tuple[str, ...]:
     """Return the designs of which the most accurate is the start of a design; empty for other designs."""
     if not isinstance(design, GradientDesignSettings):
         return ()
@@ -48,7 +48,7 @@ def compared_by_criterion(design: object) -> tuple[str, ...]:
 
 
 def check(
-    where: str, name: str, design: GradientDesignSettings, designs: Designs, imported: Iterable[str] = ()
+    where: str, name: str, design: GradientDesignSettings, designs: DesignsByName, imported: Iterable[str] = ()
 ) -> None:
     """Check that there is a start for a design, and that it may begin there; raises ValueError.
 
