@@ -1,4 +1,4 @@
-"""DesignsByName that others start from, by their names; no torch here."""
+"""Designs that others start from, by their names; no torch here."""
 
 from collections.abc import Iterable, Mapping
 
