@@ -130,6 +130,7 @@ def run(arguments: list[str]) -> tuple[int, str]:
             os._exit(status)
         finally:
             traceback.print_exc()
+            sys.stderr.flush()
             os._exit(99)
     _, status = os.waitpid(process, 0)
     return os.waitstatus_to_exitcode(status), Path("errors").read_text()

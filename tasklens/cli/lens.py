@@ -151,13 +151,13 @@ def psf(
     force: Force = False,
 ) -> None:
     """Compute the point spread functions at nine fields and each wavelength."""
-    from tasklens import notebook
+    from tasklens import api
     from tasklens.report import image_files
 
     new_file(output, force, ".npz", ".safetensors", ".png")
     lens = read(file)
     with remarks_about(file):
-        grid = notebook.psf(lens.lens, lens.view, rays, diffraction)
+        grid = api.psf(lens.lens, lens.view, rays, diffraction)
     image_files.write_psf(output, grid, lens.lens, lens.view)
     say(f"wrote {output}")
 
@@ -198,7 +198,7 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""
-    from tasklens import notebook
+    from tasklens import api
     from tasklens.report import image_files
     from tasklens.settings.capture_settings import SensorSettings
 
@@ -219,11 +219,11 @@ def simulate(
             "rays": rays,
         }
         with progress_bars(), remarks_about(file):
-            captures = notebook.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
+            captures = api.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
         say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
     else:
         with remarks_about(file):
-            captures = notebook.simulate(
+            captures = api.simulate(
                 lens.lens,
                 lens.view,
                 image,

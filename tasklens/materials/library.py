@@ -47,8 +47,11 @@ class Library:
 
     def check(self) -> None:
         """Read all files of the user; raises FileError if one cannot be read."""
-        for path in self.files:
-            self._read(path)
+        try:
+            for path in self.files:
+                self._read(path)
+        except OSError as error:
+            raise FileError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
     def glass(self, name: str) -> Material:
         """Return the first glass of a name.

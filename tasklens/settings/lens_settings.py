@@ -177,10 +177,7 @@ def _validated(content: Mapping[str, Any]) -> LensSettings:
 def _plastics(elements: Sequence[str], files: Sequence[str]) -> tuple[Material, ...]:
     """Return plastics by their names; raises InputError."""
     library = Library([Path(path) for path in files])
-    try:
-        library.check()
-    except OSError as error:
-        raise InputError(f"{error.filename}: cannot be read: {error.strerror}") from None
+    library.check()
     try:
         return tuple(library.glass(name) for name in elements)
     except FileError as error:

@@ -116,10 +116,7 @@ class Study(Frozen):
             definitions = from_definitions(value, "definitions")
         elif isinstance(value, list) and all(isinstance(path, str) for path in value):
             library = Library([Path(path) for path in value])
-            try:
-                library.check()
-            except OSError as error:
-                raise ValueError(f"{error.filename}: cannot be read: {error.strerror}") from None
+            library.check()
         else:
             raise ValueError("expected a list of files, or definitions by name")
         plastics = {}
