@@ -54,8 +54,8 @@ def fine_tuning(device, start) -> list[float]:
 
 def restoring(device, start) -> list[float]:
     """PSNRs of the validations."""
-    cameras = camera(device), camera(device)
-    _, history = restoration.train(NAFNET, data(device), data(device), *cameras, 0)
+    pipelines = evaluation.CapturePipeline(camera(device)), evaluation.CapturePipeline(camera(device))
+    _, history = restoration.train(NAFNET, data(device), data(device), *pipelines, 0)
     return [row["psnr_db"] for row in history]
 
 

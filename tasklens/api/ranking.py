@@ -14,7 +14,7 @@ from timm.data import ImageNetInfo
 from torch import Tensor, nn
 
 from tasklens.api.captures import check_light
-from tasklens.fields import GRADING, GRADING_CENTRES, PAPER
+from tasklens.fields import GRADING, GRADING_CENTRES, PAPER, Points
 from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.datasheet import means
 from tasklens.optics.analysis.paraxial import paraxial
@@ -35,6 +35,8 @@ from tasklens.runtime.devices import CPU
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, write_text
 from tasklens.runtime.tensors import explained
+
+_RAYS = 4096  # rays of each field and colour
 
 
 @dataclass(frozen=True)
@@ -87,7 +89,7 @@ def rank(
     size: int | None = None,
     outputs: str = "classes",
     max_images: int = 500,
-    rays: int = 4096,
+    rays: int = _RAYS,
 ) -> Ranking:
     """Rank lenses by the accuracy of a network through each, at 64 fields uniform in area over its sensor.
 
@@ -184,14 +186,14 @@ def on_sharp_images(network: nn.Module, dataset: ImageDataset, outputs: str = "c
     return OnSharpImages(classifier, dataset, accuracy, answer.shape[1] if used is None else len(used))
 
 
-def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, rays: int = 4096) -> Ranking:
+def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, rays: int = _RAYS) -> Ranking:
     """Return the ranking of lenses for a network."""
     correct, at_nine = {}, {}
     for name, (lens, view) in lenses.items():
-        correct[name], inside = _correct(subject, lens, view.at(sum(GRADING, ())), rays, name, len(GRADING))
+        correct[name], inside = predictions(subject, lens, view, GRADING, name, rays)
         if remark := window_remark(inside, view.kernel_size):
             warnings.warn(f"rank: {name}: {remark}", stacklevel=4)
-        at_nine[name], _ = _correct(subject, lens, view.at(PAPER), rays, name)
+        at_nine[name], _ = predictions(subject, lens, view, (PAPER,), name, rays)
     for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
         warnings.warn(f"rank: {sentence}", stacklevel=4)
     ranks = report.ranked(correct)
@@ -213,14 +215,21 @@ def _check_light(name: str, lens: Lens, view: View) -> None:
         raise InputError(f"{name}: {error}") from None
 
 
-def _correct(
-    subject: OnSharpImages, lens: Lens, view: View, rays: int, name: str, turns: int = 1
+def predictions(
+    subject: OnSharpImages, lens: Lens, view: View, fields: Sequence[Points], name: str, rays: int = _RAYS
 ) -> tuple[pandas.DataFrame, Tensor]:
-    """Return the predictions through a lens, a row per image and a column per field, and the energies in the window."""
-    lens, view = lens.detached(), view.in_colours()
+    """Return the predictions through a lens, a row per image and a column per field, and the energies in the window.
+
+    Args:
+        fields: sets of as many fields, which images take in turns.
+        name: name of the lens, for messages.
+    """
+    lens, view = lens.detached(), view.in_colours().at(sum(fields, ()))
     _check_light(name, lens, view)
     grid = evaluation_psf(lens, view, rays)
     camera = PsfCamera(grid.to(subject.images.device))
-    correct = evaluation.evaluate(subject.network, subject.images, CapturePipeline(camera, turns=turns), name).correct
+    correct = evaluation.evaluate(
+        subject.network, subject.images, CapturePipeline(camera, turns=len(fields)), name
+    ).correct
     frame = pandas.DataFrame(evaluation.by_image({"field": correct.int()}, subject.images))
     return frame.set_index(["image", "label"]), energy_inside(grid)

@@ -2,9 +2,10 @@
 
 import torch
 
-from tasklens.api.ranking import Ranking, measured, on_sharp_images
+from tasklens.api.ranking import Ranking, measured, on_sharp_images, predictions
 from tasklens.design.chain import Designs
 from tasklens.design.single import BASELINES
+from tasklens.fields import SELECTION
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.report import between_fields
 from tasklens.report.bootstrap import interval, resampled_means
@@ -28,8 +29,8 @@ def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
     lenses = {design: (lens, designs.view) for design, lens in designs.lenses.items()}
     order = torch.randperm(len(supervisors.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
     of_the_design = on_sharp_images(supervisors.network, supervisors.images.take(order))
-    choice = measured({criterion: lenses[criterion] for criterion in BASELINES}, of_the_design)
-    best = choice.ranks[0].lens
+    chosen = {other: predictions(of_the_design, *lenses[other], SELECTION, other)[0] for other in BASELINES}
+    best = max(chosen, key=lambda other: chosen[other].to_numpy().mean())
     ranking = measured(lenses, on_sharp_images(supervisors.network, unused))
     task, baseline = (100 * ranking.correct[design].mean(axis=1).to_numpy() for design in (name, best))
     low, high = interval(resampled_means((task - baseline)[:, None])[:, 0])
