@@ -54,7 +54,7 @@ def fine_tuning(device, start) -> list[float]:
 
 def restoring(device, start) -> list[float]:
     """PSNRs of the validations."""
-    pipelines = evaluation.CapturePipeline(camera(device)), evaluation.CapturePipeline(camera(device))
+    pipelines = CapturePipeline(camera(device)), CapturePipeline(camera(device))
     _, history = restoration.train(NAFNET, data(device), data(device), *pipelines, 0)
     return [row["psnr_db"] for row in history]
 
