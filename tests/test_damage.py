@@ -40,6 +40,9 @@ def test_psfs_come_back(tmp_path):
         assert of_set == turns
     with pytest.raises(FileError, match=r"psf\.safetensors: has no PSFs of the fields of nine; remove it"):
         psf_files.read(path, "nine")
+    psf_files.write(path, psfs, {"grading": (0, 2)}, NOTES)  # of an earlier version
+    with pytest.raises(FileError, match=r"has no PSFs of the fields of grading; remove it, and run its study again"):
+        psf_files.read(path, "grading")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""What `import tasklens` offers.
+"""The public functions, available through `import tasklens`.
 
 A `Lens` has surfaces, distances and media (differentiable tensors). A `View` has the fields, wavelengths and pixels at
 which it is evaluated. Lengths are in mm; wavelengths, pixels and spots are in um.

@@ -41,7 +41,7 @@ def read(path: Path, fields: str) -> FieldPsfs:
     """
     tensors, notes = read_tensors(path)
     count, sets = len(notes.get("fields_mm", ())), notes.get("sets", {})
-    if fields not in sets:
+    if len(sets.get(fields, ())) != 3:  # files of earlier versions have two numbers, without turns
         raise FileError(f"{path}: has no PSFs of the fields of {fields}; remove it, and run its study again")
     psf, illumination = (tensors.get(name, torch.empty(0)) for name in _TENSORS)
     window = psf.shape[-1] if psf.dim() else 0
