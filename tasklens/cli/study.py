@@ -1,6 +1,5 @@
 """`tasklens study ...`: study files and their results."""
 
-from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -11,10 +10,8 @@ import typer
 from tasklens.cli.network_options import nested
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.pipeline import changes, new_study, planning, runs
-from tasklens.pipeline import export as exporting
 from tasklens.pipeline.digest import SNAKEFILE
 from tasklens.pipeline.forecast import Durations, duration, durations_of
-from tasklens.report.differences import common, differences
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
 from tasklens.study import loading
@@ -245,49 +242,15 @@ def _state(run: runs.Run) -> dict[str, Any]:
     return asdict(run) | {"alive": run.is_alive, "seconds_left": left, "progress": running}
 
 
-@app.command()
-def diff(
-    old: Place,
-    new: Place,
-    every: Annotated[
-        bool, typer.Option("--all", help="Compare all columns, not only accuracies, as --json always does.")
-    ] = False,
-    as_json: AsJson = False,
-) -> None:
-    """Show the differences between two studies: configuration, and numbers in their tables."""
-    folders = [_folder(place) for place in (old, new)]
-    edits = changes.changes(_configuration(old), _configuration(new))
-    every_row = differences(*folders)
-    rows = [row for row in every_row if every or as_json or row.column.startswith("accuracy")]
-    if as_json:
-        print_json({"changes": edits, "tables": rows})
-        return
-    print("\n".join(map(str, edits)) or "The configurations are equal.")
-    for table in dict.fromkeys(row.table for row in rows):
-        print(f"\n{table}", *(f"  {row}" for row in rows if row.table == table), sep="\n")
-    if missing := [str(folder) for folder in folders if not (folder / "tables").is_dir()]:
-        sweeps = any((folder / "sweep.csv").exists() for folder in folders)
-        print(f"\nNo tables yet in {', '.join(missing)}.", *(["Compare the points of a sweep."] if sweeps else []))
-    elif not common(*folders):
-        print("\nThe studies have none of the paper's tables in common.")
-    elif not rows:
-        print("\nThe accuracies are equal; --all compares all columns." if every_row else "\nThe tables are equal.")
+@app.command("diff", hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def removed_diff() -> None:
+    """Name the replacement of a command of version 1.0."""
+    raise InputError("tasklens study diff: removed; use `diff -u` on files of results/ONE and results/OTHER")
 
 
-def _configuration(place: Path) -> Mapping[str, Any]:
-    return loading.resolved(loading.load(place / "study.yaml" if place.is_dir() else place))
-
-
-@app.command()
-def export(
-    place: Place,
-    output: Annotated[Path | None, typer.Option("--output", "-o", help="Zip file; by default <name>.zip.")] = None,
-    weights: Annotated[bool, typer.Option("--with-weights", help="Include the weights of all networks.")] = False,
-    force: Force = False,
-) -> None:
-    """Export a study to one zip file for a colleague: everything except images, checkpoints and weights."""
-    folder = _folder(place)
-    path = output or Path(f"{folder.resolve().name}.zip")
-    new_file(path, force, ".zip")
-    count = exporting.export(folder, path, weights)
-    print(f"{path}: {count} files, {path.stat().st_size / 1e6:.1f} MB")
+@app.command("export", hidden=True, context_settings={"allow_extra_args": True, "ignore_unknown_options": True})
+def removed_export() -> None:
+    """Name the replacement of a command of version 1.0."""
+    raise InputError(
+        "tasklens study export: removed; `tar -czf study.tar.gz --exclude images --exclude checkpoints results/NAME`"
+    )

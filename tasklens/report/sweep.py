@@ -6,10 +6,10 @@ from pathlib import Path
 import pandas
 
 from tasklens.report import headings
-from tasklens.report.differences import numbers_of
 from tasklens.report.publish import publish
 from tasklens.study.report_jobs import SweepJob
 
+_KEYS = ("elements", "design", "classifier")
 _NOTE = """\
 Study `{study}`. Accuracy [%] at each point of the sweep. The CSV file has all numbers of all tables; each point has its
 own report, results/{study}/<point>/report.html."""
@@ -17,12 +17,23 @@ own report, results/{study}/<point>/report.html."""
 
 def collect(settings: SweepJob, tables: Sequence[Path]) -> pandas.DataFrame:
     """Return a row per number: values of the swept keys, table, row, column, value."""
-    rows = [
-        {"point": name, **settings.points[name], "table": table, "row": row, "column": column, "value": value}
+    parts = [
+        _numbers(path).assign(point=name, **settings.points[name], table=table)
         for (name, table), path in zip(settings.tables, tables, strict=True)
-        for (row, column), value in numbers_of(path).items()
     ]
-    return pandas.DataFrame(rows)
+    swept = next(iter(settings.points.values()))
+    return pandas.concat(parts, ignore_index=True)[["point", *swept, "table", "row", "column", "value"]]
+
+
+def _numbers(path: Path) -> pandas.DataFrame:
+    """Return the numbers of a table, one per row; the paper's values are left out."""
+    table = pandas.read_csv(path, keep_default_na=False, na_values=[""])
+    keys = table[[key for key in _KEYS if key in table]]
+    names = keys.apply(lambda row: "-".join(row.dropna()), axis="columns")
+    columns = [name for name in table if name not in _KEYS and not name.endswith("_paper")]
+    cells = table[columns].apply(pandas.to_numeric, errors="coerce").assign(row=names).reset_index()
+    numbers = cells.melt(["index", "row"], var_name="column").dropna(subset="value")
+    return numbers.sort_values("index", kind="stable").drop(columns="index")
 
 
 def side_by_side(numbers: pandas.DataFrame) -> pandas.DataFrame:
