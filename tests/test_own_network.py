@@ -16,6 +16,7 @@ import tasklens
 from tasklens.api.verdict import verdict
 from tasklens.design import supervision
 from tasklens.design.criteria import TaskLoss
+from tasklens.design.request import LensRequest
 from tasklens.design.single import BASELINES, designs
 from tasklens.design.supervision import loss_at_psf
 from tasklens.design.supervisors import UserTask
@@ -119,7 +120,7 @@ def test_joint_design_trains_the_network(images, network):
     mine = copy.deepcopy(network)
     part = {"steps": 2, "pixels": [5, 1], "network_learning_rate": 1e-2}
     settings = PLATES | {"descents": [part]}
-    result = designs("joint", ["COC"], images=images, network=mine, settings=settings, spec=SPEC)
+    result = designs(LensRequest("joint", ["COC"], images=images, network=mine, settings=settings, spec=SPEC))
     assert all(torch.equal(value, mine.state_dict()[name]) for name, value in network.state_dict().items())
     tasklens.design_lens("joint", ["COC"], images=images, network=mine, settings=settings, **SPEC)
     weights = mine.state_dict()
@@ -342,15 +343,8 @@ def test_unused_outputs_of_a_module_that_is_not_of_timm():
 @pytest.mark.slow
 def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
     """With the same candidate starts and number of steps; better or worse only if the interval says so."""
-    result = designs(
-        "task",
-        ["COC"],
-        images=images,
-        network=network,
-        settings=QUICK,
-        baselines=("log_image_error", "correlation"),
-        spec=SPEC,
-    )
+    request = LensRequest("task", ["COC"], images=images, network=network, settings=QUICK, spec=SPEC)
+    result = designs(request, baselines=BASELINES)
     assert list(result.lenses) == ["log_image_error", "correlation", "task"]
     assert not torch.equal(result.lenses["task"].curvature, result.lenses["correlation"].curvature)
     words, ranking = verdict(result, random_images(30, 32, 3, seed=1))

@@ -13,6 +13,7 @@ from safetensors.numpy import save_file
 
 from tasklens.report.optimality import Optimum
 from tasklens.report.page import assembly, captures, charts, tables, words
+from tasklens.report.page.page_files import table_name
 from tasklens.report.verdicts import verdict
 from tasklens.runtime.files import read_table
 from tasklens.study.claims import (
@@ -176,7 +177,7 @@ def test_optional_tables_are_known_by_the_names_of_their_files():
     """Each has a caption; another name would be taken for an ablation, and its chart left out."""
     rules = [workflow().get_rule(f"{name}_table") for name in ("regimes", "merit_function", "tolerances", "tasks")]
     files = [Path(str(path)) for rule in rules for path in rule.output if str(path).endswith(".csv")]
-    assert len(files) == 5 and set(assembly._by_stem(files)) <= set(assembly._CAPTIONS)
+    assert len(files) == 5 and {*map(table_name, files)} <= set(assembly._CAPTIONS)
 
 
 TABLE = pandas.DataFrame(

@@ -347,3 +347,14 @@ def test_code_changes_the_digests_of_the_jobs_that_run_it(digests, edit_code, pa
 def test_an_unknown_module_raises():
     with pytest.raises(ValueError, match="bake"):
         digest.code_digest("tasklens.jobs.bake.run")
+
+
+@pytest.mark.parametrize("path", MODULES, ids=name_of)
+def test_functions_are_short(path):
+    """None has more than 12 parameters or 80 lines."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.FunctionDef):
+            parameters = [*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs]
+            count = sum(parameter.arg not in ("self", "cls") for parameter in parameters)
+            assert count <= 12, f"{node.name} has {count} parameters"
+            assert node.end_lineno - node.lineno < 80, node.name

@@ -13,7 +13,8 @@ from reference_files import SHARED
 import tasklens
 from tasklens.api.verdict import verdict
 from tasklens.cli.app import main
-from tasklens.design.single import designs
+from tasklens.design.request import LensRequest
+from tasklens.design.single import BASELINES, designs
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.pipeline import screening
 
@@ -80,9 +81,8 @@ def test_a_design_says_so(narrow):
         "images": images,
         "network": network,
         "settings": settings,
-        "baselines": ("log_image_error", "correlation"),
     }
-    result = designs("task", start=narrow, **options)
+    result = designs(LensRequest("task", start=narrow, **options), baselines=BASELINES)
     with pytest.warns(UserWarning, match=f"rank: task: the {WORDS}"):
         verdict(result, images)
 

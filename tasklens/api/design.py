@@ -3,10 +3,11 @@
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from torch import nn
 
+from tasklens.design.request import LensRequest, Specification
 from tasklens.design.single import designs
 from tasklens.design.supervisors import Loss
 from tasklens.optics.lens import Lens
@@ -31,15 +32,7 @@ def design_lens(
     loss: Loss | None = None,
     start: str | Path | tuple[Lens, View] | None = None,
     free: Mapping[str, Sequence[int] | None] | None = None,
-    f_number: float | None = None,
-    field_of_view_deg: float | None = None,
-    diagonal_mm: float | None = None,
-    aspect: tuple[float, float] | None = None,
-    pixel_pitch_um: float | None = None,
-    kernel_size: int | None = None,
-    wavelengths_um: Sequence[float] | None = None,
-    object_distance_mm: float | None = None,
-    configuration: int | None = None,
+    **spec: Unpack[Specification],
 ) -> tuple[Lens, View, dict[str, Any]]:
     """Design one lens, and before it the lenses that its method starts from.
 
@@ -72,10 +65,10 @@ def design_lens(
             stay, and limits that it violates are relaxed to its own values.
         free: free variables of `start`, such as {"curvature": [0, 1], "thickness": None}: surfaces numbered from 0, or
             None for all; also alpha_4 .. alpha_10. By default curvatures, distances, and the coefficients of aspheres.
-        f_number, field_of_view_deg, pixel_pitch_um, kernel_size, wavelengths_um: specification; by default that of the
-            paper: F/2.8, 68.8 degrees, 1.8 um, 51 pixels; with `start`, that of the file.
-        diagonal_mm, aspect: sensor, by default 4 mm and 16:9; not with `start`.
-        object_distance_mm, configuration: of the file of `start`, as in `load_lens`.
+        spec: specification, of which every key may be omitted: f_number, field_of_view_deg, pixel_pitch_um,
+            kernel_size, wavelengths_um, by default those of the paper, F/2.8, 68.8 degrees, 1.8 um, 51 pixels, or with
+            `start` those of the file; diagonal_mm, aspect of the sensor, by default 4 mm and 16:9, not with `start`;
+            object_distance_mm, configuration of the file of `start`, as in `load_lens`.
 
     Returns:
         The lens, the view (fields, wavelengths, pixels), and notes for its file: spec, origin, figures, margins.
@@ -83,6 +76,8 @@ def design_lens(
     Raises:
         InputError: a wrong value, an unknown plastic, images that cannot be read, weights that do not fit.
     """
+    if unknown := sorted(spec.keys() - Specification.__annotations__.keys()):
+        raise TypeError(f"design_lens() got an unexpected keyword argument {unknown[0]!r}")
     if method in TRAINING and isinstance(network, Mapping):
         raise InputError(f"network: {method} trains it with the lens; give a torch.nn.Module, so that you have both")
 
@@ -90,33 +85,10 @@ def design_lens(
         where = f"{start}: " if isinstance(start, str | Path) else ""
         warnings.warn(f"{where}{remark}", stacklevel=6)
 
-    spec = {
-        "f_number": f_number,
-        "field_of_view_deg": field_of_view_deg,
-        "diagonal_mm": diagonal_mm,
-        "aspect": aspect,
-        "pixel_pitch_um": pixel_pitch_um,
-        "kernel_size": kernel_size,
-        "wavelengths_um": wavelengths_um,
-        "object_distance_mm": object_distance_mm,
-        "configuration": configuration,
-    }
-    result = designs(
-        method,
-        elements,
-        seed=seed,
-        settings=settings,
-        constraints=constraints,
-        catalogues=catalogues,
-        images=images,
-        size=size,
-        network=network,
-        loss=loss,
-        start=start,
-        free=free,
-        spec=spec,
-        remark=warn,
+    request = LensRequest(
+        method, elements, seed, settings, constraints, catalogues, images, size, network, loss, start, free, spec
     )
+    result = designs(request, remark=warn)
     if result.remark:
         warnings.warn(f"design_lens: {result.remark}", stacklevel=3)
     if result.trained_weights is not None and isinstance(network, nn.Module):

@@ -7,7 +7,6 @@ import typer
 from typer.main import get_command
 
 from tasklens.cli import captures, design, lens, rank, study
-from tasklens.cli.lens_options import lens_command
 from tasklens.cli.schema import schema
 from tasklens.runtime.job import exit_status, run_program
 
@@ -17,7 +16,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 study.app.command()(schema)
-lens_command(lens.app)(captures.captures)
+for _command in (captures.simulate, captures.captures):
+    lens.app.command()(_command)
 app.add_typer(lens.app, name="lens", help="Inspect lenses: .yaml or Zemax .zmx files.")
 app.command()(design.design)
 app.command()(rank.rank)
@@ -37,7 +37,9 @@ def _overview() -> str:
     for name, command in get_command(app).commands.items():  # type: ignore[attr-defined]  # of a group
         members = getattr(command, "commands", {})
         lines += ["", f"tasklens {name} ...   {command.help}" if members else f"tasklens {name}   {_sentence(command)}"]
-        lines += [f"  {member:<18} {_sentence(subcommand)}" for member, subcommand in members.items()]
+        lines += [
+            f"  {member:<18} {_sentence(subcommand)}" for member, subcommand in members.items() if not subcommand.hidden
+        ]
     return "\n".join(
         [*lines, "", "Help on a command: tasklens lens draw --help. Shell completion: tasklens --install-completion"]
     )

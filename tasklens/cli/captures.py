@@ -1,17 +1,119 @@
-"""`tasklens lens captures`: captures of a folder of photographs."""
+"""`tasklens lens simulate` and `captures`: captures of one image, and of a folder of photographs."""
 
+import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from tasklens.cli.lens import Colour, File, FullWell, Rays
-from tasklens.cli.lens_options import Seed
-from tasklens.cli.outputs import remarks_about, say
+from tasklens.cli.lens import File, Rays
+from tasklens.cli.lens_options import Seed, reader
+from tasklens.cli.option_groups import with_options
+from tasklens.cli.outputs import Force, new_file, remarks_about, say
 from tasklens.cli.progress_bars import progress_bars
+from tasklens.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from tasklens.optics.view import View
+
+Colour = Annotated[
+    Literal["srgb", "linear"] | None,
+    typer.Option(help="Blur sRGB values, or linear light, the default with --full-well.", show_default="srgb"),
+]
+FullWell = Annotated[
+    float | None,
+    typer.Option(
+        min=1, max=1e9, help="Add sensor noise: electrons per pixel at white, about 6000 in a phone in daylight."
+    ),
+]
 
 
+@dataclass(frozen=True)
+class WholeSensorOptions:
+    """A capture of the whole sensor."""
+
+    whole_sensor: Annotated[
+        bool,
+        typer.Option(
+            "--whole-sensor", help="Simulate the whole sensor, from axis to corner; --kernel-size has no effect."
+        ),
+    ] = False
+    true_pixels: Annotated[
+        bool,
+        typer.Option(
+            "--true-pixels",
+            help="With --whole-sensor: one image pixel per sensor pixel; by default the image fills it.",
+        ),
+    ] = False
+    distortion: Annotated[
+        bool, typer.Option("--distortion", help="With --whole-sensor: apply the distortion of the lens.")
+    ] = False
+    illumination: Annotated[
+        bool, typer.Option("--illumination", help="With --whole-sensor: apply the relative illumination.")
+    ] = False
+
+
+@with_options(read=reader, sensor=WholeSensorOptions)
+def simulate(
+    read: Callable,
+    file: File,
+    image: Annotated[Path, typer.Argument(help="Image: JPEG, PNG or WebP.", show_default=False)],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Capture: .png or .jpg.", show_default=False)],
+    *,
+    field: Annotated[str, typer.Option(help="Field: axis, middle, corner, or X,Y: f tan(theta) in mm.")] = "axis",
+    grid: Annotated[bool, typer.Option("--grid", help="Show all nine fields in one image.")] = False,
+    sensor: WholeSensorOptions,
+    colour: Colour = None,
+    full_well: FullWell = None,
+    rays: Rays = 4096,
+    diffraction: Annotated[
+        bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""
+    from tasklens import api
+    from tasklens.report import image_files
+    from tasklens.settings.capture_settings import SensorSettings
+
+    new_file(output, force, ".png", ".jpg", ".jpeg")
+    if grid and field != "axis":
+        raise InputError("--grid shows all fields: not with --field")
+    if sensor.whole_sensor and (grid or full_well is not None or diffraction or field != "axis"):
+        raise InputError("--whole-sensor: not with --field, --grid, --full-well or --diffraction")
+    if not sensor.whole_sensor and (sensor.true_pixels or sensor.distortion or sensor.illumination):
+        raise InputError("--true-pixels, --distortion and --illumination: only with --whole-sensor")
+    lens = read(file)
+    if sensor.whole_sensor:
+        pitch = lens.view.pixel_pitch_um if sensor.true_pixels else None
+        options: Any = {
+            "colour": colour or "srgb",
+            "distortion": sensor.distortion,
+            "illumination": sensor.illumination,
+            "rays": rays,
+        }
+        with progress_bars(), remarks_about(file):
+            captures = api.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
+        say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
+    else:
+        with remarks_about(file):
+            captures = api.simulate(
+                lens.lens,
+                lens.view,
+                image,
+                None if grid else [_field(lens.view, field)],
+                colour=colour,
+                sensor=None if full_well is None else SensorSettings(full_well=full_well),
+                rays=rays,
+                diffraction=diffraction,
+            )
+    image_files.write_captures(output, captures)
+    say(f"wrote {output}")
+
+
+@with_options(read=reader)
 def captures(
     read: Callable,
     file: File,
@@ -34,3 +136,19 @@ def captures(
     with progress_bars(), remarks_about(file):
         count = capture_folder(folder, output, lens.lens, lens.view, size, index, seed, colour, sensor, rays)
     say(f"wrote {count} captures to {output}; {FIELDS} has their fields")
+
+
+def _field(view: "View", name: str) -> tuple[float, float]:
+    """Return the point [mm] of a field by its name, or from X,Y inside the largest field; raises InputError."""
+    if (field := view.named_fields.get(name)) is not None:
+        x, y = view.fields[field].tolist()
+        return x, y
+    try:
+        x, y = (float(word) for word in name.split(","))
+    except ValueError:
+        raise InputError(
+            f"--field {name}: expected axis, middle, corner, or X,Y in millimetres such as 0.9,0.5"
+        ) from None
+    if not math.hypot(x, y) <= (largest := float(view.radii.max())) * (1 + 1e-3):
+        raise InputError(f"--field {name}: outside the field, which ends {largest:.3f} mm from the axis")
+    return x, y

@@ -4,27 +4,23 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tasklens.cli.lens_options import Seed
-from tasklens.cli.network_options import (
-    Arguments,
-    Images,
-    Network,
-    Outputs,
-    Pretrained,
-    SaveNetwork,
-    Size,
-    Weights,
-    nested,
-    network_settings,
-)
+from tasklens.cli.network_options import NetworkOptions, PhotographOptions, nested
+from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
+
+if TYPE_CHECKING:
+    from tasklens.design.chain import Designs
+    from tasklens.design.request import Specification
+    from tasklens.recognition.dataset import ImageDataset
 
 _SPEC = "Specification (with --start: overrides of the file)"
 _METHOD = (
@@ -35,26 +31,25 @@ _START = "Start from a lens file"
 _VERDICT = "Verdict"
 
 
-def design(
-    output: Annotated[
-        Path, typer.Option("--output", "-o", help="File of the lens, .yaml or .zmx.", show_default=False)
-    ],
-    elements: Annotated[
-        str | None,
-        typer.Option(help="Materials from front to back, by default COC,OKP4."),
-    ] = None,
-    method: Annotated[str | None, typer.Option(help=_METHOD, show_default=False)] = None,
-    seed: Seed = 0,
+@dataclass(frozen=True)
+class MethodOptions:
+    """A design method, and the settings that differ from its own."""
+
+    method: Annotated[str | None, typer.Option(help=_METHOD, show_default=False)] = None
+    seed: Seed = 0
     settings: Annotated[
         list[str] | None,
         typer.Option("--set", help="Setting of the method, as in a study: evaluations=2000, descents.0.steps=200."),
-    ] = None,
+    ] = None
     limits: Annotated[
         list[str] | None, typer.Option("--limit", help="Limit, a key of `constraints` in a study: max_track=6.")
-    ] = None,
-    catalogue: Annotated[
-        list[Path] | None, typer.Option(help="File of further glasses (.agf) or plastics (.yaml).")
-    ] = None,
+    ] = None
+
+
+@dataclass(frozen=True)
+class StartOptions:
+    """The start of a design, and what of it is free."""
+
     start: Annotated[
         Path | None,
         typer.Option(
@@ -63,45 +58,95 @@ def design(
             "default (97.5 and 97.6 % on textures, one seed), in up to five times as many steps.",
             rich_help_panel=_START,
         ),
-    ] = None,
+    ] = None
     free: Annotated[
         str | None,
         typer.Option(
             help="Free variables and surfaces, numbered from 0: curvature,thickness:1+3,alpha_4..10.",
             rich_help_panel=_START,
         ),
-    ] = None,
+    ] = None
     configuration: Annotated[
         int | None, typer.Option(help="Configuration number, if the .zmx file has several.", rich_help_panel=_START)
-    ] = None,
+    ] = None
     object_distance: Annotated[
         float | None,
-        typer.Option("--object-distance", help="Only inf: move the file's object to infinity.", rich_help_panel=_START),
-    ] = None,
-    f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.", rich_help_panel=_SPEC)] = None,
+        typer.Option(help="Only inf: move the file's object to infinity.", rich_help_panel=_START),
+    ] = None
+
+    @property
+    def is_flat(self) -> bool:
+        """Whether it is plane-parallel plates."""
+        return self.start == Path("flat")
+
+    @property
+    def file(self) -> Path | None:
+        """The file of a lens."""
+        return None if self.is_flat else self.start
+
+    def check(self) -> None:
+        """Raise InputError for options that belong to a file."""
+        if self.file is None and (self.free, self.configuration, self.object_distance) != (None, None, None):
+            raise InputError("--free, --configuration, --object-distance: only with --start FILE")
+
+
+@dataclass(frozen=True)
+class SpecOptions:
+    """Specification of the lens."""
+
+    f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.", rich_help_panel=_SPEC)] = None
     field_of_view: Annotated[
         float | None, typer.Option(help="Full field of view (degrees); by default 68.8.", rich_help_panel=_SPEC)
-    ] = None,
+    ] = None
     diagonal: Annotated[
         float | None, typer.Option(help="Diagonal of the sensor (mm); by default 4.", rich_help_panel=_SPEC)
-    ] = None,
+    ] = None
     pixel_pitch: Annotated[
         float | None, typer.Option(help="Pixel pitch (um); by default 1.8.", rich_help_panel=_SPEC)
-    ] = None,
+    ] = None
     kernel_size: Annotated[
         int | None, typer.Option(help="Width of the PSF window (pixels); by default 51.", rich_help_panel=_SPEC)
-    ] = None,
+    ] = None
     wavelengths: Annotated[
         str | None, typer.Option(help="Wavelengths (um); by default 0.6563,0.5893,0.4861.", rich_help_panel=_SPEC)
+    ] = None
+
+    def values(self) -> "Specification":
+        """Return the values by their keys in a study; None for a default."""
+        return {
+            "f_number": self.f_number,
+            "field_of_view_deg": self.field_of_view,
+            "diagonal_mm": self.diagonal,
+            "pixel_pitch_um": self.pixel_pitch,
+            "kernel_size": self.kernel_size,
+            "wavelengths_um": self.wavelengths and self.wavelengths.split(","),
+        }
+
+
+@with_options(
+    method=MethodOptions, start=StartOptions, spec=SpecOptions, photographs=PhotographOptions, network=NetworkOptions
+)
+def design(
+    output: Annotated[
+        Path, typer.Option("--output", "-o", help="File of the lens, .yaml or .zmx.", show_default=False)
+    ],
+    elements: Annotated[
+        str | None,
+        typer.Option(help="Materials from front to back, by default COC,OKP4."),
     ] = None,
-    images: Images = None,
-    size: Size = None,
-    network: Network = None,
-    weights: Weights = None,
-    pretrained: Pretrained = False,
-    outputs: Outputs = "classes",
-    argument: Arguments = None,
-    save_network: SaveNetwork = None,
+    *,
+    method: MethodOptions,
+    catalogue: Annotated[
+        list[Path] | None, typer.Option(help="File of further glasses (.agf) or plastics (.yaml).")
+    ] = None,
+    start: StartOptions,
+    spec: SpecOptions,
+    photographs: PhotographOptions,
+    network: NetworkOptions,
+    save_network: Annotated[
+        Path | None,
+        typer.Option(help="File for the network that joint or end_to_end trains, .safetensors."),
+    ] = None,
     verdict: Annotated[
         bool, typer.Option(help="Compare the lens of `task` with lenses for image quality.", rich_help_panel=_VERDICT)
     ] = True,
@@ -116,70 +161,79 @@ def design(
 
     tasklens design --start mine.zmx --method contrast --free curvature,thickness -o better.zmx
     """
-    from tasklens.settings.lens_settings import TRAINING
-
-    from_flat = start == Path("flat")
-    start = None if from_flat else start
     new_file(output, force, ".yaml", ".yml", ".zmx")
     if output.suffix.lower() == ".zmx":
         new_catalogue(output, force)
-    if start is not None and (elements, diagonal) != (None, None):
+    if start.file is not None and (elements, spec.diagonal) != (None, None):
         raise InputError("--elements, --diagonal: not allowed with --start, since its lens has them")
-    if start is None and (free, configuration, object_distance) != (None, None, None):
-        raise InputError("--free, --configuration, --object-distance: only with --start FILE")
+    start.check()
+    classifier = _network(method.method, network, save_network, force)
+    from tasklens.design import single
+    from tasklens.design.request import LensRequest
+    from tasklens.report import glance
+
+    request = LensRequest(
+        method=method.method,
+        elements=elements and elements.split(","),
+        seed=method.seed,
+        settings=nested(method.settings or (), "--set"),
+        constraints=nested(method.limits or (), "--limit"),
+        catalogues=catalogue or (),
+        images=photographs.images,
+        size=photographs.size,
+        network=classifier,
+        start="flat" if start.is_flat else start.file,
+        free=None if start.free is None else _free(start.free),
+        spec={
+            **spec.values(),
+            "configuration": start.configuration,
+            "object_distance_mm": start.object_distance,
+        },
+    )
+    unused, page = None, output.with_suffix(".html")
+    if verdict and method.method == "task" and photographs.images is not None and classifier is not None:
+        new_file(page, force, ".html")
+        unused = single.unused_images(photographs.images, photographs.size)
+    with progress_bars(), _keys_as_options():
+        baselines = () if unused is None else single.BASELINES
+        result = single.designs(request, True, baselines, lambda text: say(f"{start.file}: {text}"))
+    summary = _write(output, result, save_network, improved=start.file is not None)
+    if unused is not None:
+        summary |= _compare(output, page, result, unused)
+    if json:
+        print_json(summary)
+        return
+    print(glance.text(str(output), summary))
+    if unused is not None:
+        print(f"\n{summary['verdict']}\nThe page: {page}")
+
+
+def _network(
+    method: str | None, network: NetworkOptions, save_network: Path | None, force: bool
+) -> dict[str, Any] | None:
+    """Return the settings of the network; raises InputError if its file is missing, or has no use."""
+    from tasklens.settings.lens_settings import TRAINING
+
     if save_network is not None:
         new_file(save_network, force, ".safetensors")
         if method not in TRAINING:
             raise InputError("--save-network: only with --method joint or end_to_end, which train the network")
-    spec = {
-        "f_number": f_number,
-        "field_of_view_deg": field_of_view,
-        "diagonal_mm": diagonal,
-        "pixel_pitch_um": pixel_pitch,
-        "kernel_size": kernel_size,
-        "wavelengths_um": wavelengths and wavelengths.split(","),
-        "configuration": configuration,
-        "object_distance_mm": object_distance,
-    }
-    classifier = None
-    if network is None and (weights or pretrained or outputs != "classes" or argument):
-        raise InputError("--weights, --pretrained, --outputs, --argument: only with --network NAME")
-    if network is not None:
-        classifier = network_settings(network, weights, pretrained, outputs, argument)
-        if method in TRAINING and save_network is None:
-            raise InputError(f"--method {method}: trains the network with the lens; give --save-network FILE for it")
-    method_settings, constraint_settings = nested(settings or (), "--set"), nested(limits or (), "--limit")
-    from tasklens.design import single
+    settings = network.settings()
+    if settings is not None and method in TRAINING and save_network is None:
+        raise InputError(f"--method {method}: trains the network with the lens; give --save-network FILE for it")
+    return settings
+
+
+def _write(output: Path, result: "Designs", save_network: Path | None, improved: bool) -> dict[str, Any]:
+    """Write the lens, its catalogue and the trained network; return a summary; raises InputError for a dark lens."""
     from tasklens.optics.io import lens_files
     from tasklens.report import glance
     from tasklens.runtime.files import write_tensors
 
-    test_images, page = None, output.with_suffix(".html")
-    if verdict and method == "task" and images is not None and network is not None:
-        new_file(page, force, ".html")
-        test_images = single.unused_images(images, size)
-    with progress_bars(), _keys_as_options():
-        result = single.designs(
-            method,
-            elements and elements.split(","),
-            seed=seed,
-            start="flat" if from_flat else start,
-            free=None if free is None else _free(free),
-            settings=method_settings,
-            constraints=constraint_settings,
-            catalogues=catalogue or (),
-            images=images,
-            size=size,
-            network=classifier,
-            held_out=True,
-            baselines=() if test_images is None else single.BASELINES,
-            spec=spec,
-            remark=lambda text: say(f"{start}: {text}"),
-        )
-    lens, notes = result.lens, result.notes
+    notes = result.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])
     if dark:
-        hint = "take fewer steps, or smaller ones" if start is not None else "try another --seed"
+        hint = "take fewer steps, or smaller ones" if improved else "try another --seed"
         raise InputError(f"no light arrives at {dark} of the design's fields; nothing is written: {hint}")
     if save_network is not None:
         assert result.trained_weights is not None  # by these methods
@@ -188,21 +242,18 @@ def design(
     if result.remark:
         say(f"{output}: {result.remark}")
     lens_files.write(output, result.prescription, notes)
-    say_catalogue(output, lens.media)
-    summary = glance.summary(lens, notes, notes["figures"]) | {"file": str(output)}
-    if test_images is not None:
-        from tasklens.api.verdict import verdict as judged
+    say_catalogue(output, result.lens.media)
+    return glance.summary(result.lens, notes, notes["figures"]) | {"file": str(output)}
 
-        with progress_bars(), remarks_about(output):
-            answer, ranking = judged(result, test_images)
-        ranking.save(page, "Lens comparison", [answer])
-        summary |= {"verdict": answer, "page": str(page)}
-    if json:
-        print_json(summary)
-        return
-    print(glance.text(str(output), summary))
-    if test_images is not None:
-        print(f"\n{summary['verdict']}\nThe page: {page}")
+
+def _compare(output: Path, page: Path, result: "Designs", unused: "ImageDataset") -> dict[str, str]:
+    """Compare the lens with those for image quality on photographs that no design has used; write the page."""
+    from tasklens.api.verdict import verdict
+
+    with progress_bars(), remarks_about(output):
+        answer, ranking = verdict(result, unused)
+    ranking.save(page, "Lens comparison", [answer])
+    return {"verdict": answer, "page": str(page)}
 
 
 @contextmanager

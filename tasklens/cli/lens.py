@@ -1,20 +1,20 @@
 """`tasklens lens ...`: lenses in our lens.yaml or in Zemax's .zmx."""
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, Seed, lens_command, reader
+from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, Seed, reader
+from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
-    from tasklens.optics.view import View
+    pass
 
 app = typer.Typer(no_args_is_help=True)
 
@@ -25,19 +25,10 @@ Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
 SensorFields = Annotated[
     bool, typer.Option("--sensor-fields", help="At nine fields over the sensor, also if the file has its own.")
 ]
-Colour = Annotated[
-    Literal["srgb", "linear"] | None,
-    typer.Option(help="Blur sRGB values, or linear light, the default with --full-well.", show_default="srgb"),
-]
-FullWell = Annotated[
-    float | None,
-    typer.Option(
-        min=1, max=1e9, help="Add sensor noise: electrons per pixel at white, about 6000 in a phone in daylight."
-    ),
-]
 
 
-@lens_command(app)
+@app.command()
+@with_options(read=reader)
 def show(
     read: Callable, files: Files, rays: Rays = 4096, sensor_fields: SensorFields = False, json: AsJson = False
 ) -> None:
@@ -58,7 +49,8 @@ def show(
         print("\n\n".join(glance.text(name, item) for name, item in summaries.items()))
 
 
-@lens_command(app)
+@app.command()
+@with_options(read=reader)
 def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
     """Compare lenses in one table, a row per lens."""
     from tasklens.optics.analysis.datasheet import figures
@@ -72,7 +64,8 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
         print(glance.table(rows))
 
 
-@lens_command(app)
+@app.command()
+@with_options(read=reader)
 def analyse(
     read: Callable, file: File, rays: Rays = 4096, sensor_fields: SensorFields = False, json: AsJson = False
 ) -> None:
@@ -90,7 +83,8 @@ def analyse(
         print(certificate.markdown(str(file), view.fields.tolist(), content, by_surface), end="")
 
 
-@lens_command(app)
+@app.command()
+@with_options(read=reader)
 def draw(
     read: Callable,
     files: Files,
@@ -108,7 +102,8 @@ def draw(
     say(f"wrote {output}")
 
 
-@lens_command(app)
+@app.command()
+@with_options(read=reader)
 def tolerance(
     read: Callable,
     file: File,
@@ -137,7 +132,8 @@ def tolerance(
         print(report.text(str(file), summary))
 
 
-@lens_command(app)
+@app.command()
+@with_options(read=reader)
 def psf(
     read: Callable,
     file: File,
@@ -159,81 +155,6 @@ def psf(
     with remarks_about(file):
         grid = api.psf(lens.lens, lens.view, rays, diffraction)
     image_files.write_psf(output, grid, lens.lens, lens.view)
-    say(f"wrote {output}")
-
-
-@lens_command(app)
-def simulate(
-    read: Callable,
-    file: File,
-    image: Annotated[Path, typer.Argument(help="Image: JPEG, PNG or WebP.", show_default=False)],
-    output: Annotated[Path, typer.Option("--output", "-o", help="Capture: .png or .jpg.", show_default=False)],
-    field: Annotated[str, typer.Option(help="Field: axis, middle, corner, or X,Y: f tan(theta) in mm.")] = "axis",
-    grid: Annotated[bool, typer.Option("--grid", help="Show all nine fields in one image.")] = False,
-    whole_sensor: Annotated[
-        bool,
-        typer.Option(
-            "--whole-sensor", help="Simulate the whole sensor, from axis to corner; --kernel-size has no effect."
-        ),
-    ] = False,
-    true_pixels: Annotated[
-        bool,
-        typer.Option(
-            "--true-pixels",
-            help="With --whole-sensor: one image pixel per sensor pixel; by default the image fills it.",
-        ),
-    ] = False,
-    distortion: Annotated[
-        bool, typer.Option("--distortion", help="With --whole-sensor: apply the distortion of the lens.")
-    ] = False,
-    illumination: Annotated[
-        bool, typer.Option("--illumination", help="With --whole-sensor: apply the relative illumination.")
-    ] = False,
-    colour: Colour = None,
-    full_well: FullWell = None,
-    rays: Rays = 4096,
-    diffraction: Annotated[
-        bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
-    ] = False,
-    force: Force = False,
-) -> None:
-    """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""
-    from tasklens import api
-    from tasklens.report import image_files
-    from tasklens.settings.capture_settings import SensorSettings
-
-    new_file(output, force, ".png", ".jpg", ".jpeg")
-    if grid and field != "axis":
-        raise InputError("--grid shows all fields: not with --field")
-    if whole_sensor and (grid or full_well is not None or diffraction or field != "axis"):
-        raise InputError("--whole-sensor: not with --field, --grid, --full-well or --diffraction")
-    if not whole_sensor and (true_pixels or distortion or illumination):
-        raise InputError("--true-pixels, --distortion and --illumination: only with --whole-sensor")
-    lens = read(file)
-    if whole_sensor:
-        pitch = lens.view.pixel_pitch_um if true_pixels else None
-        options: Any = {
-            "colour": colour or "srgb",
-            "distortion": distortion,
-            "illumination": illumination,
-            "rays": rays,
-        }
-        with progress_bars(), remarks_about(file):
-            captures = api.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
-        say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
-    else:
-        with remarks_about(file):
-            captures = api.simulate(
-                lens.lens,
-                lens.view,
-                image,
-                None if grid else [_field(lens.view, field)],
-                colour=colour,
-                sensor=None if full_well is None else SensorSettings(full_well=full_well),
-                rays=rays,
-                diffraction=diffraction,
-            )
-    image_files.write_captures(output, captures)
     say(f"wrote {output}")
 
 
@@ -281,19 +202,3 @@ def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
         if len(by_name) == len(set(files)):
             return by_name
     return {str(path): path for path in files}
-
-
-def _field(view: "View", name: str) -> tuple[float, float]:
-    """Return the point [mm] of a field by its name, or from X,Y inside the largest field; raises InputError."""
-    if (field := view.named_fields.get(name)) is not None:
-        x, y = view.fields[field].tolist()
-        return x, y
-    try:
-        x, y = (float(word) for word in name.split(","))
-    except ValueError:
-        raise InputError(
-            f"--field {name}: expected axis, middle, corner, or X,Y in millimetres such as 0.9,0.5"
-        ) from None
-    if not math.hypot(x, y) <= (largest := float(view.radii.max())) * (1 + 1e-3):
-        raise InputError(f"--field {name}: outside the field, which ends {largest:.3f} mm from the axis")
-    return x, y

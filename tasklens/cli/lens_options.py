@@ -1,12 +1,10 @@
 """Options of every command that reads lenses."""
 
-import inspect
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -113,22 +111,3 @@ def _micrometres(focus: str) -> float:
     except ValueError:
         pass
     raise InputError(f"--focus {focus}: expected a number of micrometres, such as -10, or file, mtf or spot")
-
-
-def lens_command(app: typer.Typer) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Return a decorator that adds a command with the options of `reader`; its first parameter reads lenses."""
-    shared = inspect.signature(reader, eval_str=True).parameters
-
-    def add(function: Callable[..., None]) -> Callable[..., None]:
-        @wraps(function)
-        def command(**values: Any) -> None:
-            function(reader(**{name: values.pop(name) for name in shared}), **values)
-
-        own = list(inspect.signature(function, eval_str=True).parameters.values())[1:]
-        parameters = [parameter.replace(kind=inspect.Parameter.KEYWORD_ONLY) for parameter in (*own, *shared.values())]
-        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]  # typer reads it
-        command.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
-        app.command()(command)
-        return command
-
-    return add

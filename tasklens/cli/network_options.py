@@ -1,6 +1,7 @@
 """Options of the commands that have a network and photographs."""
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -12,55 +13,62 @@ from tasklens.runtime.user_code import is_users
 
 _PANEL = "Network and photographs"
 
-Images = Annotated[
-    Path | None,
-    typer.Option(
-        help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=_PANEL
-    ),
-]
-SaveNetwork = Annotated[
-    Path | None,
-    typer.Option(help="File for the network that joint or end_to_end trains, .safetensors.", rich_help_panel=_PANEL),
-]
-Size = Annotated[
-    int | None, typer.Option(help="Side of the photographs (pixels); by default 224.", rich_help_panel=_PANEL)
-]
-Network = Annotated[
-    str | None,
-    typer.Option(
-        "--network",
-        help="Name of the network in timm, or package.module:function.",
-        rich_help_panel=_PANEL,
-    ),
-]
-Weights = Annotated[
-    Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.", rich_help_panel=_PANEL)
-]
-Pretrained = Annotated[
-    bool, typer.Option("--pretrained", help="Use published weights from timm's hub.", rich_help_panel=_PANEL)
-]
-Outputs = Annotated[
-    Literal["classes", "imagenet", "all_imagenet"],
-    typer.Option(help="Outputs of the network: the folder's classes, or ImageNet's.", rich_help_panel=_PANEL),
-]
-Arguments = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--argument", help="Argument of timm's create_model, or of the function: img_size=64.", rich_help_panel=_PANEL
-    ),
-]
+
+@dataclass(frozen=True)
+class PhotographOptions:
+    """A folder of photographs."""
+
+    images: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=_PANEL
+        ),
+    ] = None
+    size: Annotated[
+        int | None, typer.Option(help="Side of the photographs (pixels); by default 224.", rich_help_panel=_PANEL)
+    ] = None
 
 
-def network_settings(
-    name: str, weights: Path | None, pretrained: bool, outputs: str, arguments: Sequence[str] | None
-) -> dict[str, Any]:
-    """Return the section of a study for a network; raises InputError if it has no weights."""
-    if (weights is None) != pretrained and not is_users(name):
-        raise InputError(f"--network {name}: give one of --weights FILE, --pretrained")
-    if weights is not None and not weights.is_file():
-        raise InputError(f"--weights {weights}: no such file")
-    network = {"model": name, "outputs": outputs, "arguments": nested(arguments or (), "--argument")}
-    return network | {"weights": None if weights is None else str(weights), "pretrained": pretrained}
+@dataclass(frozen=True)
+class NetworkOptions:
+    """A network with its weights."""
+
+    network: Annotated[
+        str | None,
+        typer.Option(help="Name of the network in timm, or package.module:function.", rich_help_panel=_PANEL),
+    ] = None
+    weights: Annotated[
+        Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.", rich_help_panel=_PANEL)
+    ] = None
+    pretrained: Annotated[
+        bool, typer.Option("--pretrained", help="Use published weights from timm's hub.", rich_help_panel=_PANEL)
+    ] = False
+    outputs: Annotated[
+        Literal["classes", "imagenet", "all_imagenet"],
+        typer.Option(help="Outputs of the network: the folder's classes, or ImageNet's.", rich_help_panel=_PANEL),
+    ] = "classes"
+    argument: Annotated[
+        list[str] | None,
+        typer.Option(help="Argument of timm's create_model, or of the function: img_size=64.", rich_help_panel=_PANEL),
+    ] = None
+
+    def settings(self) -> dict[str, Any] | None:
+        """Return the section of a study for the network, None for none; raises InputError if it has no weights."""
+        if self.network is None:
+            if self.weights or self.pretrained or self.outputs != "classes" or self.argument:
+                raise InputError("--weights, --pretrained, --outputs, --argument: only with --network NAME")
+            return None
+        if (self.weights is None) != self.pretrained and not is_users(self.network):
+            raise InputError(f"--network {self.network}: give one of --weights FILE, --pretrained")
+        if self.weights is not None and not self.weights.is_file():
+            raise InputError(f"--weights {self.weights}: no such file")
+        return {
+            "model": self.network,
+            "outputs": self.outputs,
+            "arguments": nested(self.argument or (), "--argument"),
+            "weights": None if self.weights is None else str(self.weights),
+            "pretrained": self.pretrained,
+        }
 
 
 def nested(texts: Sequence[str], option: str) -> dict[str, Any]:

@@ -2,22 +2,15 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from tasklens.cli.lens_options import Catalogues
-from tasklens.cli.network_options import (
-    Arguments,
-    Images,
-    Network,
-    Outputs,
-    Pretrained,
-    Size,
-    Weights,
-    network_settings,
-)
+from tasklens.cli.network_options import NetworkOptions, PhotographOptions
+from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import say
 from tasklens.cli.progress_bars import progress_bars
 from tasklens.runtime.errors import InputError
@@ -26,41 +19,56 @@ from tasklens.settings.names import Focus
 _SENSOR, _MORE = "Sensor and object", "Further options"
 
 
-def rank(
-    lenses: Annotated[
-        list[Path], typer.Argument(help="Lens files, .zmx or .yaml, or folders of them.", show_default=False)
-    ],
-    images: Images = None,
-    network: Network = None,
-    weights: Weights = None,
-    pretrained: Pretrained = False,
-    outputs: Outputs = "classes",
-    argument: Arguments = None,
-    size: Size = None,
-    max_images: Annotated[int, typer.Option(min=10, help="Maximum number of photographs.")] = 500,
-    diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).", rich_help_panel=_SENSOR)] = 4.0,
-    pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).", rich_help_panel=_SENSOR)] = 1.8,
+@dataclass(frozen=True)
+class SensorOptions:
+    """The sensor of all lenses, and the object."""
+
+    diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).", rich_help_panel=_SENSOR)] = 4.0
+    pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).", rich_help_panel=_SENSOR)] = 1.8
     kernel_size: Annotated[
         int, typer.Option(help="Width of the PSF window (pixels, odd).", rich_help_panel=_SENSOR)
-    ] = 51,
+    ] = 51
     wavelengths: Annotated[
         str | None,
         typer.Option(help="Wavelengths (um) of all lenses; by default 0.6563,0.5893,0.4861.", rich_help_panel=_SENSOR),
-    ] = None,
+    ] = None
     object_distance: Annotated[
-        float,
-        typer.Option("--object-distance", help="Distance of the object (mm), or inf.", rich_help_panel=_SENSOR),
-    ] = math.inf,
+        float, typer.Option(help="Distance of the object (mm), or inf.", rich_help_panel=_SENSOR)
+    ] = math.inf
     full_well: Annotated[
         float | None,
         typer.Option(min=1, help="Add sensor noise: electrons per pixel at white.", rich_help_panel=_SENSOR),
-    ] = None,
+    ] = None
+    diffraction: Annotated[
+        bool, typer.Option("--diffraction", help="Include diffraction in the PSFs.", rich_help_panel=_MORE)
+    ] = False
+
+    def spec(self) -> dict[str, Any]:
+        """Return the section `spec` of a study."""
+        colours = {} if self.wavelengths is None else {"wavelengths_um": self.wavelengths.split(",")}
+        return {
+            "diagonal_mm": self.diagonal,
+            "pixel_pitch_um": self.pixel_pitch,
+            "kernel_size": self.kernel_size,
+            "object_distance_mm": None if self.object_distance == math.inf else self.object_distance,
+        } | colours
+
+    def capture(self) -> dict[str, Any]:
+        """Return the section `capture` of a study."""
+        sensor = None if self.full_well is None else {"full_well": self.full_well}
+        return {"diffraction": self.diffraction, "sensor": sensor}
+
+
+@dataclass(frozen=True)
+class LensOptions:
+    """How lenses are read, and which are measured."""
+
     scale: Annotated[
         bool,
         typer.Option(
             "--scale", help="Scale lenses to the sensor; for patents, not for products.", rich_help_panel=_SENSOR
         ),
-    ] = False,
+    ] = False
     focus: Annotated[
         Focus | None,
         typer.Option(
@@ -68,14 +76,25 @@ def rank(
             "as in the file, and by the network if the lens is scaled or the object at another distance.",
             rich_help_panel=_SENSOR,
         ),
-    ] = None,
+    ] = None
     sieve: Annotated[
         int | None,
         typer.Option(min=3, help="Measure only this many lenses, those with the highest MTF.", rich_help_panel=_MORE),
-    ] = None,
-    diffraction: Annotated[
-        bool, typer.Option("--diffraction", help="Include diffraction in the PSFs.", rich_help_panel=_MORE)
-    ] = False,
+    ] = None
+    catalogue: Catalogues = None
+
+
+@with_options(photographs=PhotographOptions, network=NetworkOptions, sensor=SensorOptions, lens_options=LensOptions)
+def rank(
+    lenses: Annotated[
+        list[Path], typer.Argument(help="Lens files, .zmx or .yaml, or folders of them.", show_default=False)
+    ],
+    *,
+    photographs: PhotographOptions,
+    network: NetworkOptions,
+    max_images: Annotated[int, typer.Option(min=10, help="Maximum number of photographs.")] = 500,
+    sensor: SensorOptions,
+    lens_options: LensOptions,
     fine_tune: Annotated[
         float, typer.Option(min=0, help="Epochs of fine-tuning on each lens.", rich_help_panel=_MORE)
     ] = 0.0,
@@ -86,7 +105,6 @@ def rank(
         str | None,
         typer.Option(help="Tolerance grade of built lenses; by default precision_moulding.", rich_help_panel=_MORE),
     ] = None,
-    catalogue: Catalogues = None,
     name: Annotated[str, typer.Option(help="Name; results are in results/NAME.")] = "ranking",
     cores: Annotated[int, typer.Option("--cores", "-j", min=1, help="Number of jobs at once.")] = 2,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Overwrite results with other options.")] = False,
@@ -95,46 +113,42 @@ def rank(
 
     tasklens rank catalogue/ --images photographs --network resnet18 --weights mine.safetensors --diagonal 6
     """
-    if images is None or network is None:
+    if (folder := photographs.images) is None or network.network is None:
         raise InputError("expected --images FOLDER and --network NAME with --weights FILE (or --pretrained)")
-    if as_built and diffraction:
+    if as_built and sensor.diffraction:
         raise InputError("--as-built: not with --diffraction; omit one of them")
     if grade is not None and not as_built:
         raise InputError("--grade: only with --as-built COUNT")
-    classifier = network_settings(network, weights, pretrained, outputs, argument)
+    classifier = network.settings()
+    assert classifier is not None  # it has a name
     from tasklens.materials.library import user_files
     from tasklens.pipeline import ranking, screening
     from tasklens.recognition import user_images
     from tasklens.study import loading
 
-    spec = {
-        "diagonal_mm": diagonal,
-        "pixel_pitch_um": pixel_pitch,
-        "kernel_size": kernel_size,
-        "object_distance_mm": None if object_distance == math.inf else object_distance,
-        **({} if wavelengths is None else {"wavelengths_um": wavelengths.split(",")}),
-    }
+    spec = sensor.spec()
     paths = screening.lens_paths(lenses)
-    side = user_images.SIZE if size is None else size
-    capture = {"diffraction": diffraction, "sensor": None if full_well is None else {"full_well": full_well}}
+    side = user_images.SIZE if photographs.size is None else photographs.size
     tolerances = {} if grade is None else {"grade": grade}
 
     def study(screened: screening.Screened, built: Sequence[str] = ()) -> dict:
-        kept = screened.by_mtf[:sieve]
+        kept = screened.by_mtf[: lens_options.sieve]
         focused = any(screened.entries[lens]["focus"] == "network" for lens in kept)
-        section = ranking.image_settings(images, side, max_images, fine_tune > 0, focused)
-        return ranking.study(name, screened, spec, section, classifier, capture, fine_tune, kept, tolerances, built)
+        images = ranking.image_settings(folder, side, max_images, fine_tune > 0, focused)
+        sections = spec, images, classifier, sensor.capture()
+        return ranking.study(name, screened, *sections, fine_tune, kept, tolerances, built)
 
     unread = loading.parse(study(screening.unread()))  # errors come before the lenses are read
     say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
     with progress_bars():
-        screened = screening.screen(paths, spec, [*(catalogue or ()), *user_files()], scale, focus)
+        catalogues = [*(lens_options.catalogue or ()), *user_files()]
+        screened = screening.screen(paths, spec, catalogues, lens_options.scale, lens_options.focus)
     content = study(screened)
     count = len(loading.parse(content).imported)
     say(f"{count} of {len(paths)} lenses are measured with {ranking.photographs(content['images'])}")
-    folder = ranking.run(content, ["ranking"], cores, overwrite)
+    results = ranking.run(content, ["ranking"], cores, overwrite)
     if as_built:
-        content = study(screened, ranking.first_lenses(folder, content["ranking"]["titles"], as_built))
-        folder = ranking.run(content, ["ranking"], cores, overwrite)
-    print((folder / "tables" / "ranking.md").read_text(encoding="utf-8"))
-    say(f"the page: {folder / 'ranking.html'}")
+        content = study(screened, ranking.first_lenses(results, content["ranking"]["titles"], as_built))
+        results = ranking.run(content, ["ranking"], cores, overwrite)
+    print((results / "tables" / "ranking.md").read_text(encoding="utf-8"))
+    say(f"the page: {results / 'ranking.html'}")

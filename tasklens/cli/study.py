@@ -1,6 +1,6 @@
 """`tasklens study ...`: study files and their results."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from tasklens.cli.network_options import nested
+from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.pipeline import changes, new_study, planning, runs
 from tasklens.pipeline.digest import SNAKEFILE
@@ -24,64 +25,84 @@ Files = Annotated[list[Path], typer.Argument(help="Study files; each overrides t
 Place = Annotated[Path, typer.Argument(help="Study file, or its results folder.", show_default=False)]
 
 
-@app.command()
-def new(
-    name: Annotated[str, typer.Argument(help="Name of the study; results are in results/<name>.", show_default=False)],
-    images: Annotated[str | None, typer.Option(help="Folder of photographs, or `built-in`.")] = None,
-    size: Annotated[int | None, typer.Option(help="Side of the images (pixels).")] = None,
+@dataclass(frozen=True)
+class Answers:
+    """Options that are asked for if they are missing."""
+
+    images: Annotated[str | None, typer.Option(help="Folder of photographs, or `built-in`.")] = None
     networks: Annotated[
         str | None, typer.Option(help="Networks, such as resnet,vit, or names in timm; the first supervises.")
-    ] = None,
-    weights: Annotated[
-        Path | None, typer.Option(help="Weights of the first network, which is not trained again.")
-    ] = None,
+    ] = None
+    elements: Annotated[str | None, typer.Option(help="Elements, such as doublet,triplet or mine=COC+OKP4.")] = None
+    f_number: Annotated[float | None, typer.Option(help="F-number of the lenses.")] = None
+    field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal (degrees).")] = None
+    seeds: Annotated[int | None, typer.Option(help="Number of seeds.")] = None
+    minutes: Annotated[float | None, typer.Option(help="Time budget (minutes).")] = None
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Ask no questions; take defaults for missing options.")] = (
+        False
+    )
+
+    def of(self, key: str, question: str, default: Any) -> Any:
+        """Return the value of an option, or else the answer to a question."""
+        value = getattr(self, key)
+        return value if value is not None else default if self.yes else _prompt(question, default)
+
+
+@dataclass(frozen=True)
+class OwnNetwork:
+    """The first network of a study, if it is the user's own."""
+
+    weights: Annotated[Path | None, typer.Option(help="Weights of the first network, which is not trained again.")] = (
+        None
+    )
     outputs: Annotated[
         Literal["classes", "imagenet", "all_imagenet"],
         typer.Option(help="Outputs of the first network: the folder's classes, or ImageNet's."),
-    ] = "classes",
-    argument: Annotated[list[str] | None, typer.Option(help="Argument of the first network: img_size=64.")] = None,
-    elements: Annotated[str | None, typer.Option(help="Elements, such as doublet,triplet or mine=COC+OKP4.")] = None,
-    f_number: Annotated[float | None, typer.Option(help="F-number of the lenses.")] = None,
-    field_of_view: Annotated[float | None, typer.Option(help="Full field of view on the diagonal (degrees).")] = None,
-    seeds: Annotated[int | None, typer.Option(help="Number of seeds.")] = None,
-    minutes: Annotated[float | None, typer.Option(help="Time budget (minutes).")] = None,
+    ] = "classes"
+    argument: Annotated[list[str] | None, typer.Option(help="Argument of the first network: img_size=64.")] = None
+
+    def check(self) -> None:
+        """Raise InputError if its weights are missing."""
+        if self.weights is None and (self.outputs != "classes" or self.argument):
+            raise InputError("--outputs, --argument: only with --weights FILE, of a network of your own")
+        if self.weights is not None and not self.weights.is_file():
+            raise FileError(f"--weights {self.weights}: no such file")
+
+
+@app.command()
+@with_options(answers=Answers, own_network=OwnNetwork)
+def new(
+    name: Annotated[str, typer.Argument(help="Name of the study; results are in results/<name>.", show_default=False)],
+    *,
+    answers: Answers,
+    size: Annotated[int | None, typer.Option(help="Side of the images (pixels).")] = None,
+    own_network: OwnNetwork,
     cores: Annotated[int, typer.Option(min=1, help="Number of cores.")] = 2,
-    yes: Annotated[
-        bool, typer.Option("--yes", "-y", help="Ask no questions; take defaults for missing options.")
-    ] = False,
     output: Annotated[Path | None, typer.Option("--output", "-o", help="Study file; by default NAME.yaml.")] = None,
     force: Force = False,
 ) -> None:
     """Write a commented study file that fits a time budget, from answers or options."""
     path = output or Path(f"{name}.yaml")
     new_file(path, force, ".yaml", ".yml")
-
-    def asked(value: Any, question: str, default: Any) -> Any:
-        return value if value is not None else default if yes else _prompt(question, default)
-
     question = "Images: a folder with <class>/*, or train/<class>/* and test/<class>/*, or built-in"
-    place = asked(images, question, "built-in")
+    place = answers.of("images", question, "built-in")
     folder = None if place == "built-in" else Path(place)
+    networks = answers.of("networks", "Networks (resnet, mobilenetv3, swin, vit, or names of timm)", "resnet")
     request = new_study.StudyRequest(
         name=name,
         folder=folder,
         size=size or (64 if folder is None else 224),
-        networks=_words(
-            "--networks", asked(networks, "Networks (resnet, mobilenetv3, swin, vit, or names of timm)", "resnet")
-        ),
-        elements=_elements(asked(elements, "Elements (singlet, doublet, triplet, quadruplet)", "doublet")),
-        f_number=asked(f_number, "F-number", 2.8),
-        field_of_view_deg=asked(field_of_view, "Full field of view [degrees]", 68.8),
-        seeds=asked(seeds, "Seeds", 1),
-        weights=weights,
-        outputs=outputs,
-        arguments=nested(argument or (), "--argument"),
+        networks=_words("--networks", networks),
+        elements=_elements(answers.of("elements", "Elements (singlet, doublet, triplet, quadruplet)", "doublet")),
+        f_number=answers.of("f_number", "F-number", 2.8),
+        field_of_view_deg=answers.of("field_of_view", "Full field of view [degrees]", 68.8),
+        seeds=answers.of("seeds", "Seeds", 1),
+        weights=own_network.weights,
+        outputs=own_network.outputs,
+        arguments=nested(own_network.argument or (), "--argument"),
     )
-    if weights is None and (outputs != "classes" or argument):
-        raise InputError("--outputs, --argument: only with --weights FILE, of a network of your own")
-    if weights is not None and not weights.is_file():
-        raise FileError(f"--weights {weights}: no such file")
-    minutes = asked(minutes, "Time to spend [minutes]", 30.0)
+    own_network.check()
+    minutes = answers.of("minutes", "Time to spend [minutes]", 30.0)
     largest, seconds = new_study.fit(request, minutes, cores)
     new_study.check(request, largest)
     for cut in new_study.CUTS[new_study.CUTS.index(largest) :]:

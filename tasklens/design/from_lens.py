@@ -83,18 +83,7 @@ def design(
         InputError: the object is at a finite distance, there are not three wavelengths, the field is too wide, no
             light arrives at a field, surfaces cross, the lens lacks a variable, or `single.designs` raises it.
     """
-    if method == "least_squares":
-        raise InputError("method: least_squares starts from random lenses; with `start` choose another method")
-    for key in ("free", "keep_apertures", "start"):
-        if key in settings:
-            advice = "give it as `free` (--free)" if key == "free" else "omit it"
-            raise InputError(f"{key}: no setting with the lens of `start`; {advice}")
-    try:
-        given = Constraints.model_validate(constraints)
-    except ValidationError as error:
-        raise InputError(in_words("constraints", error, Constraints)) from None
-    if unused := {"stop_distance", "flat_track"} & set(constraints):
-        raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
+    given = _constraints(method, settings, constraints)
     for text in file.remarks:
         remark(text)
     check_focal_length(file.lens, file.view.reference_um, "designs need")
@@ -136,6 +125,23 @@ def design(
     if not math.isclose(before, after, rel_tol=_F_NUMBER):
         remark(f"F-number {before:.4g} to {after:.4g}: the stop is fixed, the focal length within its limits is not")
     return replace(result, view=view, prescription=file.prescription)
+
+
+def _constraints(method: str, settings: Mapping[str, Any], constraints: Mapping[str, Any]) -> Constraints:
+    """Return the limits of a user; raises InputError for one, or for settings, that belong to other starts."""
+    if method == "least_squares":
+        raise InputError("method: least_squares starts from random lenses; with `start` choose another method")
+    for key in ("free", "keep_apertures", "start"):
+        if key in settings:
+            advice = "give it as `free` (--free)" if key == "free" else "omit it"
+            raise InputError(f"{key}: no setting with the lens of `start`; {advice}")
+    try:
+        given = Constraints.model_validate(constraints)
+    except ValidationError as error:
+        raise InputError(in_words("constraints", error, Constraints)) from None
+    if unused := {"stop_distance", "flat_track"} & set(constraints):
+        raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
+    return given
 
 
 def _fixed_coefficients(lens: Lens, free: Mapping[str, Sequence[int]]) -> str:

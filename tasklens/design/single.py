@@ -8,11 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from torch import nn
-
 from tasklens.design import chain, from_lens
 from tasklens.design.chain import Designs
-from tasklens.design.supervisors import Loss, Supervisors, UserTask
+from tasklens.design.request import LensRequest
+from tasklens.design.supervisors import Supervisors, UserTask
 from tasklens.materials.library import user_files
 from tasklens.optics.analysis.datasheet import spec_of
 from tasklens.optics.analysis.paraxial import paraxial
@@ -35,22 +34,9 @@ BASELINES = ("log_image_error", "correlation")  # criteria of image quality that
 
 
 def designs(
-    method: str | None = None,
-    elements: Sequence[str] | None = None,
-    *,
-    seed: int = 0,
-    settings: Mapping[str, Any] | None = None,
-    constraints: Mapping[str, Any] | None = None,
-    catalogues: str | Path | Sequence[str | Path] = (),
-    images: Any = None,
-    size: int | None = None,
-    network: nn.Module | Mapping[str, Any] | None = None,
-    loss: Loss | None = None,
-    start: str | Path | tuple[Lens, View] | None = None,
-    free: Mapping[str, Sequence[int] | None] | None = None,
+    request: LensRequest,
     held_out: bool = False,
     baselines: Sequence[str] = (),
-    spec: Mapping[str, Any] | None = None,
     remark: Callable[[str], None] = warnings.warn,
 ) -> Designs:
     """Design one lens, its starting lenses, and the baselines that it is compared with.
@@ -58,40 +44,46 @@ def designs(
     Args:
         held_out: keep photographs apart for a comparison (see `unused_images`).
         baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort.
-        spec: keys of `Spec`, object_distance_mm and configuration; None: the default, or that of the file of `start`.
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
-    method = method or ("least_squares" if start is None else "spot")
+    start, settings, constraints = request.start, request.settings or {}, request.constraints or {}
+    method = request.method or ("least_squares" if start is None else "spot")
     if start == "flat":
-        settings, start = {**(settings or {}), "start": "flat"}, None
-    spec = {key: value for key, value in (spec or {}).items() if value is not None}
-    if loss is not None and network is None:
+        settings, start = {**settings, "start": "flat"}, None
+    spec = {key: value for key, value in request.spec.items() if value is not None}
+    if request.loss is not None and request.network is None:
         raise InputError("loss: only with a `network`; omit it, or give one")
-    if loss is not None:  # labels may be masks or positions, which augmentation would not move
-        settings = {"augment": False, **(settings or {})}
-    section, dataset = _images(images, size, held_out)
-    classifier, module = (network, None) if isinstance(network, Mapping) else (None, network)
-    user = Supervisors(dataset, module, None if loss is None else UserTask(loss))
-    catalogues = as_paths(catalogues, "catalogues")
-    files = [str(path) for path in (*catalogues, *user_files())]
+    if request.loss is not None:  # labels may be masks or positions, which augmentation would not move
+        settings = {"augment": False, **settings}
+    images, dataset = _images(request.images, request.size, held_out)
+    classifier, module = (request.network, None) if isinstance(request.network, Mapping) else (None, request.network)
+    user = Supervisors(dataset, module, None if request.loss is None else UserTask(request.loss))
+    catalogues = as_paths(request.catalogues, "catalogues")
     if start is not None:
-        for key, value in {"elements": elements, **spec}.items():
+        for key, value in {"elements": request.elements, **spec}.items():
             if value is not None and key in _OF_THE_START:
                 raise InputError(f"{key}: not with `start`, whose lens has its own")
         file = _start(start, [*catalogues, *user_files()], spec)
-        options = (settings or {}, constraints or {}, section, classifier, seed, user, baselines, remark)
-        result = from_lens.design(file, method, free, *options)
+        options = (settings, constraints, images, classifier, request.seed, user, baselines, remark)
+        result = from_lens.design(file, method, request.free, *options)
         if isinstance(start, str | Path):
             result.notes["origin"]["start"] = str(Path(start))
         return replace(result, prescription=_prescription(file.prescription, result.lens, result.view, set(spec)))
-    if free is not None:
+    if request.free is not None:
         raise InputError("free: only with `start`, the file of a lens")
-    elements = _ELEMENTS if elements is None else elements
-    changes = spec, settings or {}, constraints or {}
     chosen = lens_settings(
-        method, elements, *changes, files, section, classifier, baselines=baselines, network_given=module is not None
+        method,
+        _ELEMENTS if request.elements is None else request.elements,
+        spec,
+        settings,
+        constraints,
+        [str(path) for path in (*catalogues, *user_files())],
+        images,
+        classifier,
+        baselines=baselines,
+        network_given=module is not None,
     )
-    return chain.design(chosen.plans(seed), chosen.images, user, {})
+    return chain.design(chosen.plans(request.seed), chosen.images, user, {})
 
 
 def _start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> LensFile:

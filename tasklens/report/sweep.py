@@ -30,7 +30,7 @@ def _numbers(path: Path) -> pandas.DataFrame:
     table = pandas.read_csv(path, keep_default_na=False, na_values=[""])
     keys = table[[key for key in _KEYS if key in table]]
     names = keys.apply(lambda row: "-".join(row.dropna()), axis="columns")
-    columns = [name for name in table if name not in _KEYS and not name.endswith("_paper")]
+    columns = [name for name in map(str, table) if name not in _KEYS and not name.endswith("_paper")]
     cells = table[columns].apply(pandas.to_numeric, errors="coerce").assign(row=names).reset_index()
     numbers = cells.melt(["index", "row"], var_name="column").dropna(subset="value")
     return numbers.sort_values("index", kind="stable").drop(columns="index")

@@ -6,8 +6,9 @@ import hashlib
 import os
 import subprocess
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
+from dataclasses import fields, is_dataclass
 from importlib import import_module
 from inspect import signature
 from pathlib import Path
@@ -35,7 +36,8 @@ def run(
 
     Args:
         function: `package.module.function`; its first parameter is the settings, the others are named like the files;
-            a parameter `checkpoint` lets a killed job resume.
+            a parameter whose type is a data class gets the files named like its fields; a parameter `checkpoint` lets a
+            killed job resume.
         settings: JSON of the settings; their class is the annotation of the first parameter.
         code: digest of the code of the function.
         inputs: input files by name; one, several, or none if the parameter may be None. A file that no rule waits for
@@ -71,11 +73,22 @@ def _call(
         kinds = get_type_hints(call)
         parameters = list(signature(call).parameters)
         job_settings = kinds[parameters[0]].model_validate_json(settings, extra="ignore")  # computed fields
-        arguments: dict[str, Any] = {name: _paths(paths, kinds[name]) for name, paths in inputs.items()}
+        arguments = _files(parameters[1:], kinds, inputs)
         arguments |= {name: Path(path) for name, path in outputs.items()}
         if "checkpoint" in parameters:
             arguments["checkpoint"] = kinds["checkpoint"](checkpoint)
         call(job_settings, **arguments)
+
+
+def _files(names: Iterable[str], kinds: Mapping[str, Any], inputs: Mapping[str, Paths]) -> dict[str, Any]:
+    """Return the input files by parameter, those of a data class as one object."""
+    files: dict[str, Any] = {}
+    for name in names:
+        if is_dataclass(kind := kinds[name]) and isinstance(kind, type):
+            files[name] = kind(**_files([field.name for field in fields(kind)], get_type_hints(kind), inputs))
+        elif name in inputs:
+            files[name] = _paths(inputs[name], kind)
+    return files
 
 
 def run_program(program: Callable[[], object], log: Path | None) -> NoReturn:

@@ -117,11 +117,7 @@ def forward(
     status,
     lost_at,
     distances,
-    begins,
-    d_start,
-    d_lens,
-    d_indices,
-    d_poses,
+    changes,
     d_image,
     d_record,
 ):
@@ -129,19 +125,21 @@ def forward(
 
     Args:
         first .. distances: as in `trace`.
-        begins: (V,) the first surface that a change affects; 0 for a change of the rays or of an index.
-        d_start: (V, 7, R), or empty.
-        d_lens: (V, S, 3 + 2 M) changes of curvature, conic, thickness, alpha_2j and j alpha_2j.
-        d_indices: (V, S + 1, W), or empty.
-        d_poses: (V, S, 4, 3) changes of rotation and position, or empty.
+        changes: (V,) the first surface that a change affects, 0 for a change of the rays or of an index;
+            (V, 7, R) of the rays, or empty;
+            (V, S, 3 + 2 M) of curvature, conic, thickness, alpha_2j and j alpha_2j;
+            (V, S + 1, W) of the indices, or empty;
+            (V, S, 4, 3) of rotation and position, or empty.
         d_image: (V, 7, R) output: x, y, z, l, m, n and path; zero for a lost ray.
         d_record: (V, S, 2, R) output: x and y behind each surface, zero for a ray that is already lost; or empty.
     """
     surfaces, _, indices, posed, rotations, _ = lens
+    begins, d_start, d_lens, d_indices, d_poses = changes
     zero, orders = start.dtype.type(0), (d_lens.shape[2] - 3) // 2
     tape = numpy.zeros((len(surfaces) + 1, ROWS * BLOCK), start.dtype)
     d = numpy.zeros(ROWS * BLOCK, start.dtype)
     colours, parks = numpy.zeros(BLOCK + 1, numpy.int64), numpy.zeros(BLOCK, numpy.int64)
+    none = numpy.zeros(indices.shape[1], start.dtype)
     for block in range(first, last, BLOCK):
         size = min(BLOCK, last - block)
         fill_colours(block, count, colours)
@@ -184,22 +182,27 @@ def forward(
                         d_record[change, k, 1, block + i] = d[Y + i] if parks[i] > k else zero
                 for i in range(BLOCK):
                     d[Z + i] -= values[2]
-            s = tape[len(surfaces)]
-            for i in range(size):
-                if status[block + i] != 0:
-                    for row in range(7):
-                        d_image[change, row, block + i] = 0
-                    continue
-                l, m, n, j = s[L + i], s[M + i], s[N + i], colours[i]
-                t = -s[Z + i] / n
-                dt = -(d[Z + i] + t * d[N + i]) / n
-                d_image[change, 0, block + i] = d[X + i] + t * d[L + i] + dt * l
-                d_image[change, 1, block + i] = d[Y + i] + t * d[M + i] + dt * m
-                d_image[change, 2, block + i] = 0
-                for row in range(3, 6):
-                    d_image[change, row, block + i] = d[row * BLOCK + i]
-                d_index = d_indices[change, -1, j] if len(d_indices) > 0 else zero
-                d_image[change, 6, block + i] = d[PATH + i] + indices[-1, j] * dt + d_index * t
+            d_index = d_indices[change, -1] if len(d_indices) > 0 else none
+            _to_image(tape[len(surfaces)], d, d_image[change], block, size, status, colours, indices[-1], d_index)
+
+
+@inlined
+def _to_image(s, d, d_image, block, size, status, colours, index, d_index):
+    """Propagate the changes of rays behind the last surface to the image plane."""
+    for i in range(size):
+        if status[block + i] != 0:
+            for row in range(7):
+                d_image[row, block + i] = 0
+            continue
+        l, m, n, j = s[L + i], s[M + i], s[N + i], colours[i]
+        t = -s[Z + i] / n
+        dt = -(d[Z + i] + t * d[N + i]) / n
+        d_image[0, block + i] = d[X + i] + t * d[L + i] + dt * l
+        d_image[1, block + i] = d[Y + i] + t * d[M + i] + dt * m
+        d_image[2, block + i] = 0
+        for row in range(3, 6):
+            d_image[row, block + i] = d[row * BLOCK + i]
+        d_image[6, block + i] = d[PATH + i] + index[j] * dt + d_index[j] * t
 
 
 @inlined

@@ -117,7 +117,7 @@ class Traced:
         d_image = self.array(count, 7, rays)
         d_record = numpy.zeros((count if record else 0, surfaces, 2, rays), table.dtype)
         lost = (self.status, self.lost_at)
-        arguments = (*self.start_of, *lost, self.distances, begins, d_rays, table, d_media, poses)
+        arguments = (*self.start_of, *lost, self.distances, (begins, d_rays, table, d_media, poses))
         _in_parts(rays, lambda *part: derivatives.forward(*part, *arguments, d_image, d_record))
         return d_image, d_record
 

@@ -1,6 +1,6 @@
 """Assembly of the page from the files of a study; the answer in words comes first."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,7 @@ from tasklens.report import answer as answer_figure
 from tasklens.report.headings import STD
 from tasklens.report.optimality import Optimum, optimum
 from tasklens.report.page import captures, charts, gallery, machine, pictures, tables, words
-from tasklens.report.page.page_files import PageFiles
+from tasklens.report.page.page_files import PageFiles, RuleFiles
 from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError, damaged, read_table, write_text
 from tasklens.study.report_jobs import ReportJob
@@ -36,71 +36,13 @@ _CAPTIONS = {
 _SPREAD = " ± is the standard deviation over seeds."
 
 
-def make(
-    settings: ReportJob,
-    table_files: Sequence[Path],
-    seeds_files: Sequence[Path],
-    provenance: Sequence[Path],
-    verdicts: Path,
-    psf_tail: Path,
-    effort: Path,
-    lenses: Sequence[Path],
-    histories: Sequence[Path],
-    pages: Sequence[Path],
-    zemax: Sequence[Path],
-    catalogues: Sequence[Path],
-    sections: Sequence[Path],
-    spots: Sequence[Path],
-    psfs: Sequence[Path],
-    curves: Sequence[Path],
-    restorations: Sequence[Path],
-    capture_file: Path,
-    answers: Path,
-    optional: Sequence[Path],
-    drawn: Sequence[Path],
-    benchmarks: Path,
-    report: Path,
-    answer: Path,
-) -> None:
+def make(settings: ReportJob, inputs: RuleFiles, report: Path, answer: Path) -> None:
     """Write the page, and the figure of its answer.
-
-    Args:
-        table_files, seeds_files, provenance: files of `settings.tables`.
-        lenses, histories, pages, zemax, catalogues, sections, spots, psfs, curves: files of the lenses in
-            `settings.elements`.
-        restorations: histories of the networks of `settings.restored`.
-        optional, drawn: tables and figures that are shown if their files exist.
-        benchmarks: folder of Snakemake's benchmarks.
 
     Raises:
         FileError: the page is larger than 15 MB.
     """
-
-    def by_lens(paths: Sequence[Path]) -> dict[str, Path]:
-        return dict(zip(settings.elements, paths, strict=True))
-
-    files = PageFiles(
-        tables=dict(zip(settings.tables, table_files, strict=True)),
-        by_seed=dict(zip(settings.tables, seeds_files, strict=True)),
-        others={"verdicts": verdicts, "psf_tail": psf_tail, "effort": effort},
-        optional_names=[*_by_stem(optional)],
-        optional={name: path for name, path in _by_stem(optional).items() if path.exists()},
-        drawn={path.stem: path for path in drawn if path.exists()},
-        provenance=provenance,
-        lenses=by_lens(lenses),
-        histories=by_lens(histories),
-        pages=by_lens(pages),
-        zemax=by_lens(zemax),
-        catalogues=by_lens(catalogues),
-        pictures={
-            name: by_lens(paths)
-            for name, paths in (("section", sections), ("spots", spots), ("psfs", psfs), ("curves", curves))
-        },
-        restorations=dict(zip(settings.restored, restorations, strict=True)),
-        captures=capture_file,
-        answers=answers,
-        benchmarks=benchmarks,
-    )
+    files = PageFiles.of(settings, inputs)
     _draw_answer(answer, settings, files)
     page = render(settings, files, answer)
     size_mb = len(page.encode()) / 1e6
@@ -183,10 +125,6 @@ def _of_earlier_lenses(path: Path, files: PageFiles) -> str:
     """Return a warning if an optional table is older than some lenses, since no target updates it; else ""."""
     later = [lens for lens, file in files.lenses.items() if file.stat().st_mtime > path.stat().st_mtime]
     return f" Older than these lenses, so maybe of earlier ones: {', '.join(later)}." if later else ""
-
-
-def _by_stem(paths: Sequence[Path]) -> dict[str, Path]:
-    return {path.stem.replace(".", "_"): path for path in paths}
 
 
 def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
