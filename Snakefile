@@ -2,7 +2,7 @@
 
 from snakemake.utils import min_version
 
-from tasklens.pipeline import snakemake_internals
+from tasklens.study.run import snakemake_internals
 from tasklens.study import loading
 
 min_version("9.19")  # priorities that depend on wildcards

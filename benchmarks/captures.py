@@ -15,7 +15,7 @@ import torch.nn.functional as F
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from tasklens.imaging import PsfCamera
+from tasklens.camera.imaging import PsfCamera
 
 SHAPES = ((16, 64), (4, 224))  # images, pixels
 

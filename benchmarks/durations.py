@@ -10,8 +10,8 @@ import csv
 import io
 from pathlib import Path
 
-from tasklens.pipeline.forecast import MEASURED, by_rule
 from tasklens.runtime.files import write_text
+from tasklens.study.run.forecast import MEASURED, by_rule
 
 COLUMNS = ("study", "rule", "seconds", "longest_s", "memory_mb")
 

@@ -25,7 +25,7 @@ sys.path.append(str(Path(__file__).parents[1] / "tests"))  # readers of these fi
 from reference_files import reference_files
 from reference_lenses import LENS_FILES, reference_lens
 
-from tasklens.imaging import PsfCamera, psnr
+from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.materials.material import D_LINE
 from tasklens.materials.zemax_text import read_lines
 from tasklens.optics.analysis.illumination import relative_illumination

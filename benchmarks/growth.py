@@ -19,11 +19,11 @@ import timing
 import timm
 import torch
 
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design import descents
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.imaging import PsfCamera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen

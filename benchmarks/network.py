@@ -17,12 +17,12 @@ import torch
 import torch.nn.functional as F
 from torch import nn
 
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.descent import Descent
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
-from tasklens.imaging import PsfCamera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen

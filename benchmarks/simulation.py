@@ -17,10 +17,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from tasklens import load_lens
+from tasklens.camera.blend import SensorPsfs, _fast_size, _hats, blend
+from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.simulation.blend import SensorPsfs, _fast_size, _hats, blend
-from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
 LENSES = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 FRAME, TINY = (1080, 1920), (96, 128)

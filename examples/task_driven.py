@@ -7,9 +7,9 @@ import torch
 from torch.nn.functional import cross_entropy
 
 import tasklens
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design.constraints import penalty
 from tasklens.design.start import flat
-from tasklens.imaging import PsfCamera
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import drawn_points, view_of_spec
 from tasklens.recognition import scenes, training

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from restoration.nafnet import NAFNet, build
-from tasklens.imaging import psnr
+from tasklens.camera.imaging import psnr
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import Shuffled, warmup_cosine

@@ -47,7 +47,7 @@ __all__ = [
 _MODULES = {  # of names that are not in tasklens.api
     "InputError": "tasklens.runtime.errors",
     "Lens": "tasklens.optics.lens",
-    "PsfCamera": "tasklens.imaging",
+    "PsfCamera": "tasklens.camera.imaging",
     "Ranking": "tasklens.api.ranking",
     "SensorSettings": "tasklens.settings.capture_settings",
     "View": "tasklens.optics.view",

@@ -17,11 +17,11 @@ from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
-from tasklens.report.measurements import Measurements
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.settings.design_settings import GradientDesignSettings
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
+from tasklens.study.report.measurements import Measurements
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
 

@@ -5,8 +5,8 @@ from collections.abc import Iterable
 import numpy
 import pandas
 
-from tasklens.report.measurements import Measurements
 from tasklens.study.claims import Claim
+from tasklens.study.report.measurements import Measurements
 from tasklens.study.tables import MeasuredKey
 
 PROBABILITY = {  # of a correct answer, in the corner half of it

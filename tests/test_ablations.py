@@ -9,10 +9,10 @@ from examples import changed, tiny_study
 from rules import finish, job_of, outputs, slices
 from study_results import write_results
 
-from tasklens.report.verdicts import HOLDS
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.study import claims
 from tasklens.study.loading import dump, parse
+from tasklens.study.report.verdicts import HOLDS
 from tasklens.study.study import StudyError
 
 FINE = {"descents": {"0": {"pixels": [1, 1]}}}  # the first descent, changed

@@ -6,9 +6,9 @@ import pandas
 import pytest
 from random_answers import RandomAnswers, claim
 
-from tasklens.report import answer, answers_file, verdicts
 from tasklens.runtime.files import FileError
 from tasklens.study.claims import FLAT_FAILS, OVER_IMAGING1, Claims
+from tasklens.study.report import answer, answers_file, verdicts
 
 CLAIMS = Claims(
     study="known",

@@ -14,7 +14,7 @@ import torch
 from examples import difference
 
 import tasklens
-from tasklens.imaging import PsfCamera
+from tasklens.camera.imaging import PsfCamera
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Melt
 from tasklens.runtime.errors import InputError

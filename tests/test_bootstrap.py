@@ -6,8 +6,8 @@ import numpy
 import pytest
 import scipy.stats
 
-from tasklens.report.bootstrap import CONFIDENCE, holm, p_value, resampled_means, resampled_over_seeds
-from tasklens.report.bootstrap import interval as interval_of_means
+from tasklens.show.bootstrap import CONFIDENCE, holm, p_value, resampled_means, resampled_over_seeds
+from tasklens.show.bootstrap import interval as interval_of_means
 
 Z = 1.96
 

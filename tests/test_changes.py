@@ -8,9 +8,9 @@ import pytest
 from examples import changed, tiny_study, write
 from rules import job_of, rule_names, workflow
 
-from tasklens.pipeline.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal, unrecorded
-from tasklens.pipeline.forecast import Durations
 from tasklens.study.loading import dump, parse, resolved
+from tasklens.study.run.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal, unrecorded
+from tasklens.study.run.forecast import Durations
 from tasklens.study.study import Study
 
 LENSES = ("imaging1", "imaging2")

@@ -4,9 +4,9 @@ import pandas
 import pytest
 from examples import write
 
-from tasklens.report.chosen_images import choose
 from tasklens.runtime.files import FileError
 from tasklens.settings.names import SHARP
+from tasklens.study.report.chosen_images import choose
 
 LABELS = ["cat", "dog", "dog", "owl", "fox", "cat"]
 CORRECT = {

@@ -10,11 +10,11 @@ from examples import write
 from PIL import Image
 
 from tasklens.design.single import unused_images
-from tasklens.pipeline import ranking
 from tasklens.recognition import class_folders, dataset, folders, user_images
 from tasklens.runtime.files import FileError
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.study.job_settings import folder_digest
+from tasklens.study.run import ranking
 
 
 def images(folder, minival: int = 3) -> ImageSettings:

@@ -13,7 +13,6 @@ from examples import changed, random_images, tiny_study, trained_network
 from safetensors.torch import save_file
 from torch import nn
 
-from tasklens.pipeline import checks
 from tasklens.recognition import classifiers, evaluation, folders, networks
 from tasklens.recognition import dataset as data
 from tasklens.runtime import user_code
@@ -21,6 +20,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.settings.network_settings import ClassifierSettings, TrainingSettings
 from tasklens.study.loading import parse
+from tasklens.study.run import checks
 
 SHARED = Path(__file__).parents[2] / "shared"
 

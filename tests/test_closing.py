@@ -5,9 +5,9 @@ from dataclasses import replace
 import pytest
 from examples import tiny_study, write
 
-from tasklens.pipeline import closing, runs
 from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_IMAGING1, OVER_LEAST_SQUARES
 from tasklens.study.loading import parse
+from tasklens.study.run import closing, runs
 
 FOLDER = "results/tiny"
 COLUMNS = "table,claim,lens,baseline,classifier,difference,low,high,p_holm,seeds,verdict,reason\n"

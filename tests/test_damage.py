@@ -13,12 +13,12 @@ from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.recognition import dataset
 from tasklens.recognition.metrics import mean_metrics
-from tasklens.report import predictions
-from tasklens.report.measurements import Measurements
 from tasklens.runtime import files
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError, read_table, read_yaml, write_tensors
 from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.show import predictions
+from tasklens.study.report.measurements import Measurements
 
 NAFNET = RestorationSettings(width=4, encoder=(1,), decoder=(1,), steps=1)
 SETS, NOTES = {"grading": (0, 2, 2), "corner": (1, 2, 1)}, {"fields_mm": [[0, 0], [1, 0]]}

@@ -19,9 +19,9 @@ from tasklens.optics.analysis.wavefront import wavefront
 from tasklens.optics.analysis.zernike import rms_wavefront_error
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View
-from tasklens.report import certificate
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
+from tasklens.show import certificate
 
 RAYS = 512
 

@@ -10,13 +10,13 @@ from designs import LEARNING_RATES, LIMITS, VIEW, adamw_descent, tiny_network
 from examples import changed, random_images, tiny_study
 from torch import nn
 
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design import methods
 from tasklens.design.criteria import ImageError, TaskLoss
 from tasklens.design.descent import divergence
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.design.variables import Variables
-from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
 from tasklens.optics.apertures import with_open_apertures

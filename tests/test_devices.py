@@ -8,7 +8,6 @@ import torch
 from threadpoolctl import threadpool_info
 
 from tasklens.runtime import devices, locks
-from tasklens.runtime.distributed import process_group
 from tasklens.runtime.errors import InputError
 
 CONTEXT = multiprocessing.get_context("fork")
@@ -93,33 +92,6 @@ def test_locks_are_private_to_the_user(monkeypatch, tmp_path):
     assert devices.claim() == torch.device("cuda", 0)
     (lock,) = (path for path in tmp_path.rglob("*") if path.is_file())
     assert lock.parent == tmp_path / "home/.cache/tasklens/gpus" and lock.parent.stat().st_mode & 0o077 == 0
-
-
-def test_a_process_group_has_all_its_gpus_or_none(monkeypatch, elsewhere):
-    """While it waits for the last GPU, another group that needs the first one may not begin to collect."""
-    names = ["one", "other"]
-    pretend(monkeypatch, names)
-    other, seen = elsewhere(names[1]), []
-
-    def wait(seconds: float) -> None:
-        done = CONTEXT.Event()
-        done.set()  # if it gets the lock, it releases it
-        second = CONTEXT.Process(target=hold, args=("several", CONTEXT.Event(), done))
-        second.start()
-        second.join()
-        seen.append(second.exitcode)
-        other.kill(), other.join()
-
-    monkeypatch.setattr(locks.time, "sleep", wait)
-    assert devices.claim_several(2) == [torch.device("cuda", 0), torch.device("cuda", 1)]
-    assert seen == [1] and set(devices._locked) == {"one-0", "other-0"}
-
-
-def test_a_process_group_larger_than_the_machine_is_refused(monkeypatch):
-    pretend(monkeypatch, ["one", "other"])
-    monkeypatch.setenv("WORLD_SIZE", "3")
-    with pytest.raises(InputError, match="3 processes need one GPU each, but this machine has 2"), process_group():
-        pass
 
 
 def test_one_thread_for_small_matrices(two_threads):

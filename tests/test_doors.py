@@ -15,9 +15,9 @@ from tasklens.optics.analysis.focus import shifted
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
-from tasklens.report import predictions
 from tasklens.runtime.files import write_tensors
 from tasklens.settings.network_settings import TrainingSettings
+from tasklens.show import predictions
 
 CLASSES = ("coarse", "fine", "medium")
 

@@ -8,7 +8,7 @@ import torch
 from examples import random_images, trained_network
 from torch import nn
 
-from tasklens.imaging import PsfCamera
+from tasklens.camera.imaging import PsfCamera
 from tasklens.recognition import dataset as data
 from tasklens.recognition import evaluation
 

@@ -12,9 +12,9 @@ from PIL import Image
 from tasklens.optics.analysis import datasheet
 from tasklens.optics.analysis.spots import evaluation_psf, spot_diagram
 from tasklens.optics.view import View, view_of_spec
-from tasklens.report import figures
-from tasklens.report.scale_bar import scale_bar
 from tasklens.settings.specification import Spec
+from tasklens.show import figures
+from tasklens.show.scale_bar import scale_bar
 
 
 @pytest.fixture(scope="module")

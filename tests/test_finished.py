@@ -15,12 +15,12 @@ from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
-from tasklens.report.page import assembly
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.settings.names import split
 from tasklens.settings.starts import imaging_designs
 from tasklens.study import tables
 from tasklens.study.loading import parse
+from tasklens.study.report.page import assembly
 from tasklens.study.study import TABLES
 from tasklens.study.tables import verification
 
@@ -154,7 +154,7 @@ def test_the_page_has_every_part(page):
     assert [name for name in (*TABLES, "verdicts", "psf_tail", "effort") if f'<table id="{name}">' not in text] == []
     for name in STUDY.designs:
         assert f'download="singlet-{name}.yaml"' in text and f'download="singlet-{name}.zmx"' in text
-    assert "Optional tables, not computed: regimes, merit function, tolerances" in text
+    assert "Optional tables, not computed: merit function, tolerances" in text
     curves = text.count("over the distance from the axis, in units of that of the corner")
     assert curves == len(tables.table(STUDY, "table1").lenses)
     assert (page.parent / "answer.svg").exists() and '<table id="claims">' in text

@@ -11,6 +11,7 @@ from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, ran
 from reference_files import reference_files
 
 import tasklens
+from tasklens.camera.sensor_psfs import trace_sensor_psfs
 from tasklens.cli.app import main
 from tasklens.design.constraints import first_order_margins
 from tasklens.materials.material import model_glass
@@ -29,7 +30,6 @@ from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.settings.specification import Constraints
-from tasklens.simulation.sensor_psfs import trace_sensor_psfs
 
 REFERENCE = WAVELENGTHS[1]
 PUPIL = sobol_disc(128, seed=0)

@@ -8,9 +8,9 @@ import yaml
 from examples import write
 from rules import rule_names
 
-from tasklens.pipeline import forecast
-from tasklens.pipeline.forecast import Durations, Measured
 from tasklens.settings.image_settings import ImageSettings
+from tasklens.study.run import forecast
+from tasklens.study.run.forecast import Durations, Measured
 
 HEADER = "s\th:m:s\tmax_rss\tmax_vms\tmax_uss\tmax_pss\tio_in\tio_out\tmean_load\tcpu_time"  # as Snakemake writes it
 

@@ -12,13 +12,13 @@ from examples import tiny_study, write
 from PIL import Image
 from rules import finish, outputs
 
-from tasklens.jobs import frames as frames_job
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.optics.view import view_of_spec
-from tasklens.report import frames
 from tasklens.settings.specification import Spec
+from tasklens.study.jobs import frames as frames_job
 from tasklens.study.loading import parse
+from tasklens.study.report import frames
 
 LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
 SHAPE = 108, 192

@@ -12,10 +12,10 @@ from torch.utils._python_dispatch import _disable_current_modes
 import tasklens
 from restoration import training as restoration
 from tasklens import api
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design.criteria import JointTaskLoss, TaskLoss
 from tasklens.design.problem import Problem
 from tasklens.design.supervision import Supervisor
-from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition import evaluation, training
 from tasklens.recognition.classifiers import frozen

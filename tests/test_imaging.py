@@ -4,7 +4,7 @@ import pytest
 import torch
 from kornia.filters import filter2d
 
-from tasklens.imaging import PsfCamera, psnr
+from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.runtime.errors import InputError
 from tasklens.settings.capture_settings import SensorSettings
 

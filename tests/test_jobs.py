@@ -66,7 +66,7 @@ READERS = [
     ("constraints.max_track", 4.0, lambda job: job[0] == "design"),
     ("constraints.flat_track", 1.2, lambda job: job[0] == "design"),
     ("designs.imaging1.descents.0.steps", 4,
-     lambda job: job in (("design", "singlet-imaging1"), ("effort_table",), ("regimes_table",))),
+     lambda job: job in (("design", "singlet-imaging1"), ("effort_table",))),
     ("restoration.steps", 9, lambda job: job[0] in ("restore", "captures") or measures(*RESTORED)(job)),
     ("capture.outside_window", "renormalise",
      lambda job: job[0] in ("restore", "captures", "frames", "production", "merit_function_table")
@@ -255,7 +255,7 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     for name in TABLES:
         imported = () if name == "table3" else ("quadruplet-phone",)
         assert tables.table(study, name).lenses == tables.table(parse(tiny_study()), name).lenses + imported
-    assert tables.lens_design(study, "quadruplet-phone", 0).classifier == study.network(study.supervisor)
+    assert tables.lens_design(study, "quadruplet-phone", 0).classifier == study.classifier(study.supervisor)
     as_in_file = parse(changed(with_imported(), "imported.phone.focus", "file"))
     assert tables.lens_design(as_in_file, "quadruplet-phone", 0).classifier is None
     assert job_of("design", as_in_file, lens="quadruplet-phone", seed=0).reads == [study.imported["phone"].file]
@@ -384,7 +384,7 @@ def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_p
         arguments.update(locals())
         write(checkpoint.path, "")
 
-    monkeypatch.setattr("tasklens.jobs.design.run", work)
+    monkeypatch.setattr("tasklens.study.jobs.design.run", work)
     job.run()
     assert arguments["settings"] == tables.lens_design(study, lens, 4)
     assert (

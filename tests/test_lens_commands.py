@@ -12,6 +12,7 @@ import torch
 import yaml
 from PIL import Image
 
+import tasklens
 from tasklens.cli.app import main
 from tasklens.optics.analysis.spots import chief_points
 from tasklens.optics.io import lens_files, prescription
@@ -111,6 +112,16 @@ def test_options_are_in_place_of_the_files_specification(capsys):
     assert narrow["fields"]["angle_deg"][-1] == pytest.approx(10, abs=1e-9)
 
 
+@pytest.mark.parametrize("focus", ["file", "mtf", "spot", -12.5])
+def test_python_focuses_as_the_command_does(focus, capsys):
+    lens, _ = tasklens.load_lens(DOUBLET, focus=focus)
+    own, _ = tasklens.load_lens(DOUBLET)
+    shift = float(lens.thickness[-1] - own.thickness[-1])
+    analyses = [json_of(capsys, "analyse", DOUBLET, *FEW, "--focus", word) for word in (focus, "file")]
+    assert analyses[0]["image_distance_mm"] - analyses[1]["image_distance_mm"] == pytest.approx(shift, abs=1e-12)
+    assert (shift == 0) == (focus == "file") and (shift == pytest.approx(-0.0125)) == (focus == -12.5)
+
+
 def test_another_object_distance_refocuses(capsys):
     """To the peak of the MTF, with a remark; the image plane of the file on request."""
     distances = {}
@@ -118,7 +129,7 @@ def test_another_object_distance_refocuses(capsys):
         words = ("--object-distance", "100", *(() if focus is None else ("--focus", focus)))
         assert run("analyse", DOUBLET, *FEW, *words, "--json") == 0
         output = capsys.readouterr()
-        assert "object at infinity in the file: refocused for 100 mm, by " in output.err
+        assert ("object at infinity in the file: refocused for 100 mm: image plane " in output.err) == (focus != "file")
         distances[focus] = json.loads(output.out)["image_distance_mm"]
     own = json_of(capsys, "analyse", DOUBLET, *FEW)
     assert distances[None] == pytest.approx(distances["mtf"], abs=1e-6)
@@ -340,7 +351,7 @@ MISTAKES = [
     (("show", DOUBLET, "--kernel-size", "50"), "kernel_size = 50: expected an odd number, so that the PSF has a"),
     (
         ("show", DOUBLET, "--focus", "nan"),
-        "--focus nan: expected a number of micrometres, such as -10, or file, mtf or spot",
+        "focus nan (--focus): expected micrometres, such as -10, or file, mtf or spot",
     ),
     (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than or equal to 0.5"),
     (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),

@@ -6,7 +6,7 @@ import pytest
 from examples import f64, make_lens, materials
 
 from tasklens.optics.analysis.shapes import shapes
-from tasklens.report import manufacturability
+from tasklens.show import manufacturability
 
 COC, AIR = materials("COC", "air")
 

@@ -11,10 +11,10 @@ from rules import finish, outputs
 
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
-from tasklens.report import merit_function
-from tasklens.report.merit_function import BANDS, fit, leave_one_out, modulation
 from tasklens.runtime.files import FileError
 from tasklens.study.loading import parse
+from tasklens.study.report import merit_function
+from tasklens.study.report.merit_function import BANDS, fit, leave_one_out, modulation
 from tasklens.study.report_jobs import MeritFunctionJob
 
 KERNEL = 51

@@ -9,8 +9,8 @@ from PIL import Image
 
 import tasklens
 from tasklens.cli.app import main
-from tasklens.pipeline import screening
 from tasklens.runtime.errors import InputError
+from tasklens.study.run import screening
 
 INF = math.inf
 SURFACES = {

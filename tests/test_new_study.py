@@ -13,9 +13,9 @@ from study_command import complaint, study
 from typer.testing import CliRunner
 
 from tasklens.cli.app import app
-from tasklens.pipeline import new_study, planning
-from tasklens.pipeline.digest import SNAKEFILE
 from tasklens.study.loading import load, parse
+from tasklens.study.run import new_study, planning
+from tasklens.study.run.digest import SNAKEFILE
 
 ROOT = Path(__file__).parents[1]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from tasklens.report.optimality import optimum
+from tasklens.show.optimality import optimum
 
 
 @pytest.mark.parametrize("gain, reached", [(-0.5, True), (0.0219, True), (0.0221, False), (5.0, False)])

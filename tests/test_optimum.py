@@ -14,10 +14,10 @@ from tasklens.design.start import flat
 from tasklens.design.supervision import Supervisor
 from tasklens.fields import PAPER
 from tasklens.optics.apertures import with_clear_apertures
-from tasklens.report.optimality import Optimum
 from tasklens.settings.design_settings import DescentSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
+from tasklens.show.optimality import Optimum
 
 PART = DescentSettings(steps=1, pixels=(5, 5))
 

@@ -13,11 +13,11 @@ from PIL import Image
 
 from tasklens.optics.io import psf_files
 from tasklens.optics.io.psf_files import FieldPsfs
-from tasklens.report import answers_file
-from tasklens.report.answers_file import PackedMeasurements
 from tasklens.runtime.files import write_tensors
 from tasklens.study import loading
 from tasklens.study.claims import OVER_LEAST_SQUARES, Claim, Claims
+from tasklens.study.report import answers_file
+from tasklens.study.report.answers_file import PackedMeasurements
 
 CLASSES = {"n01440764": 0, "n01443537": 1, "n02102040": 217}
 KEYS = [(f"singlet-{design}", "small", 0) for design in ("tasklens", "imaging2")]

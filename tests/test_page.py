@@ -11,11 +11,8 @@ from examples import write
 from rules import workflow
 from safetensors.numpy import save_file
 
-from tasklens.report.optimality import Optimum
-from tasklens.report.page import assembly, captures, charts, tables, words
-from tasklens.report.page.page_files import table_name
-from tasklens.report.verdicts import verdict
 from tasklens.runtime.files import read_table
+from tasklens.show.optimality import Optimum
 from tasklens.study.claims import (
     FEWER_ELEMENTS,
     OVER_END_TO_END,
@@ -24,6 +21,9 @@ from tasklens.study.claims import (
     OVER_LEAST_SQUARES,
     PAPER_CLAIMS,
 )
+from tasklens.study.report.page import assembly, captures, charts, tables, words
+from tasklens.study.report.page.page_files import table_name
+from tasklens.study.report.verdicts import verdict
 
 KNOWN = 0.001  # p-value of a difference that is significant
 MARGINS = {OVER_END_TO_END: 0.5}
@@ -175,9 +175,9 @@ def test_convergence_names_what_has_not_converged():
 
 def test_optional_tables_are_known_by_the_names_of_their_files():
     """Each has a caption; another name would be taken for an ablation, and its chart left out."""
-    rules = [workflow().get_rule(f"{name}_table") for name in ("regimes", "merit_function", "tolerances", "tasks")]
+    rules = [workflow().get_rule(f"{name}_table") for name in ("merit_function", "tolerances", "tasks")]
     files = [Path(str(path)) for rule in rules for path in rule.output if str(path).endswith(".csv")]
-    assert len(files) == 5 and {*map(table_name, files)} <= set(assembly._CAPTIONS)
+    assert len(files) == 4 and {*map(table_name, files)} <= set(assembly._CAPTIONS)
 
 
 TABLE = pandas.DataFrame(
@@ -256,22 +256,6 @@ def test_accuracy_by_radius_is_a_line_per_design_from_axis_to_corner():
     assert [line["x0"] for line in content["layout"]["shapes"]] == [0.0, 0.5, 1.0]
     assert "Farthest out: task 55.0. Dotted: fields that designs see." in chart.words
     assert charts.accuracy_by_radius("doublet", TABLE, (0.125, 0.875), ()) is None
-
-
-def test_the_map_of_regimes_has_a_square_for_each_and_gaps_between():
-    """Two doublets, of two fields of view, share a square with their mean; a triplet has its own."""
-    rows = {
-        "elements": ["doublet", "doublet_wide", "triplet_f2"],
-        "element_count": [2, 2, 3],
-        "f_number": [2.8, 2.8, 2.0],
-    }
-    numbers = {"difference": [4.0, 8.0, -1.0], "low": [3.0, 7.0, -2.0], "high": [5.0, 9.0, 0.0]}
-    chart = charts.regime_map("map", "Where it pays", pandas.DataFrame(rows | numbers))
-    (squares,) = json.loads(chart.json)["data"]
-    assert (squares["x"], squares["y"]) == (["F/2", "F/2.8"], ["2 elements", "3 elements"])
-    assert squares["z"] == [[None, 6.0], [-1.0, None]]
-    assert "triplet_f2 at F/2 -1.0 (-2.0 to +0.0)" in chart.words
-    assert charts.regime_map("map", "", pandas.DataFrame(rows | numbers | {"difference": 3 * [numpy.nan]})) is None
 
 
 def test_a_class_may_be_called_by_a_number(tmp_path):

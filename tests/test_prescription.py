@@ -12,8 +12,8 @@ from prescriptions import random_prescription, same_bits
 from tasklens.materials.material import AIR, Material
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
-from tasklens.report.measurements import Measurements
 from tasklens.runtime.files import FileError
+from tasklens.study.report.measurements import Measurements
 
 
 @pytest.mark.parametrize("seed", range(20))

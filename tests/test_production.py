@@ -12,20 +12,21 @@ from examples import f64, read_rows, tiny_study
 from rules import finish
 from tolerance_examples import doublet, grade
 
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design import production
 from tasklens.design.production import Production
-from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing.errors import draw, errors
 from tasklens.optics.tolerancing.sensitivity import displacements
-from tasklens.pipeline.outcome import outcome
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.report import tolerance_page, tolerances
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.settings.tolerance_settings import Grade
+from tasklens.show import tolerance_page
 from tasklens.study.loading import parse
+from tasklens.study.report import tolerances
+from tasklens.study.run.outcome import outcome
 
 LABELS = torch.arange(6) % 2
 NOISE = torch.rand(6, 3, 40, 40, generator=torch.Generator().manual_seed(0)) - 0.5

@@ -5,8 +5,8 @@ import math
 import pandas
 import pytest
 
-from tasklens.report import headings
-from tasklens.report.publish import publish
+from tasklens.show import headings
+from tasklens.show.publish import publish
 
 TABLE = pandas.DataFrame(
     {

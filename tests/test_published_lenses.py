@@ -12,9 +12,9 @@ from tasklens.design.constraints import all_margins, limit_margins
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.recognition import classifiers, evaluation, folders
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.report import answers_file
 from tasklens.settings.specification import Constraints
 from tasklens.study import loading
+from tasklens.study.report import answers_file
 from tasklens.study.tables import MeasuredKey
 
 ROOT = Path(__file__).parents[1]
@@ -46,7 +46,7 @@ def test_published_answers_are_reproduced(lens):
     listing = folders.find(SHARED / "data/imagenette/true_val", 30, study.images.seed)
     images = ImageDataset(folders.read_all(listing.files, study.images.size), listing.labels, listing.classes)
     weights = SHARED / "weights/mobilenetv2_100_same_in1k.safetensors"
-    network = study.network(study.supervisor).model_copy(update={"weights": weights})
+    network = study.classifier(study.supervisor).model_copy(update={"weights": weights})
     camera = tasklens.PsfCamera(tasklens.psf(*tasklens.load_lens(PUBLISHED / f"lenses/{lens}.yaml")).float())
 
     classifier = classifiers.frozen(classifiers.build(network, listing.classes), images.images)

@@ -13,8 +13,8 @@ import pandas
 import pytest
 from random_answers import PROBABILITY, RandomAnswers, claim
 
-from tasklens.report import answers_file
 from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_IMAGING1, Claims
+from tasklens.study.report import answers_file
 
 ROOT = Path(__file__).parents[1]
 RESULTS = ROOT / "docs/results"

@@ -20,17 +20,18 @@ from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import imported
 from tasklens.optics.view import view_of_spec
-from tasklens.pipeline import ranking as pipeline
-from tasklens.pipeline import screening
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.training import fit
-from tasklens.report import ranking
-from tasklens.report.ranking import Rank
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
+from tasklens.show import ranking
+from tasklens.show.ranking import Rank
+from tasklens.study.report.ranking import sieve
+from tasklens.study.run import ranking as pipeline
+from tasklens.study.run import screening
 
 TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
 
@@ -154,13 +155,13 @@ def test_what_the_sieve_may_have_missed():
     """A lens with a lower MTF was better by 5 points; the measured lens with the lowest MTF is 20 behind, then 3."""
     mtf = {"a": 0.9, "b": 0.8, "c": 0.5, "left": 0.4, "out": 0.3}
     ranks = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 70, 0, 0)]
-    sentence = ranking.sieve(ranks, mtf, ["left", "out"])
+    sentence = sieve(ranks, mtf, ["left", "out"])
     assert "Not measured: 2 lenses with a mean MTF of at most 0.40" in sentence and "by at most 5.0 points" in sentence
     assert "20.0 points behind the first" in sentence and "would be a surprise" in sentence
     close = [rank("b", 1, 90, 0, 0), rank("a", 1, 85, 0, 0), rank("c", 2, 87, 0, 0)]
-    assert "cannot be excluded" in ranking.sieve(close, mtf, ["left", "out"])
-    assert ranking.sieve(ranks, mtf, []) is None
-    assert "all have one accuracy" in ranking.sieve([rank(name, 1, 90, 0, 0) for name in "abc"], mtf, ["out"])
+    assert "cannot be excluded" in sieve(close, mtf, ["left", "out"])
+    assert sieve(ranks, mtf, []) is None
+    assert "all have one accuracy" in sieve([rank(name, 1, 90, 0, 0) for name in "abc"], mtf, ["out"])
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from examples import random_images
 
 from restoration import training
 from restoration.nafnet import NAFBlock, NAFNet, build
-from tasklens.imaging import PsfCamera, psnr
+from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.settings.restoration_settings import RestorationSettings
 

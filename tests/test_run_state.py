@@ -12,13 +12,13 @@ import pytest
 from examples import tiny_study, write
 
 from tasklens.cli.app import main
-from tasklens.pipeline import closing, runs
-from tasklens.pipeline.changes import PlannedJob
-from tasklens.pipeline.forecast import Durations
-from tasklens.pipeline.terminal import Terminal
 from tasklens.runtime import progress_file
 from tasklens.runtime.progress import Progress
 from tasklens.study.loading import dump, parse
+from tasklens.study.run import closing, runs
+from tasklens.study.run.changes import PlannedJob
+from tasklens.study.run.forecast import Durations
+from tasklens.study.run.terminal import Terminal
 
 STUDY = parse(tiny_study())
 FOLDER = "results/tiny"

@@ -12,6 +12,9 @@ from PIL import Image
 from torch import Tensor
 
 import tasklens
+from tasklens.camera.blend import SensorPsfs, blend
+from tasklens.camera.charts import resolution_chart
+from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.cli.app import main
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.object_points import magnification
@@ -22,9 +25,6 @@ from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.simulation.blend import SensorPsfs, blend
-from tasklens.simulation.charts import resolution_chart
-from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
 SHAPE = (96, 128)
 RAYS = 2048

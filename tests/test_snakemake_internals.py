@@ -13,7 +13,7 @@ from snakemake.scheduling.job_scheduler import JobRateLimiter
 from snakemake.settings.types import ExecMode, MaxJobsPerTimespan
 from workflows import forked, snakemake
 
-from tasklens.pipeline import planning, snakemake_internals
+from tasklens.study.run import planning, snakemake_internals
 
 
 def test_the_settings_of_a_run():

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from rules import rule_names, workflow
 
-from tasklens.pipeline import digest
+from tasklens.study.run import digest
 
 ROOT = Path(__file__).parents[1]
 MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglob("*.py"))
@@ -26,16 +26,15 @@ FLOORS = [
     ("tasklens.optics.analysis",),
     ("tasklens.optics.tolerancing",),
     ("tasklens.optics.io",),
-    ("tasklens.sensor", "tasklens.convolution"),
-    ("tasklens.imaging",),
-    ("tasklens.simulation",),
+    ("tasklens.camera",),
     ("tasklens.recognition",),
     ("tasklens.design",),
-    ("tasklens.study",),
-    ("tasklens.report", "restoration"),
+    ("tasklens.show", "restoration"),
     ("tasklens.api",),
-    ("tasklens.jobs",),
-    ("tasklens.pipeline",),
+    ("tasklens.study",),
+    ("tasklens.study.report",),
+    ("tasklens.study.jobs",),
+    ("tasklens.study.run",),
     ("tasklens.cli",),
 ]
 
@@ -71,13 +70,11 @@ def test_imports_run_downward(path):
         assert below < floor or other == room, f"{module} imports {imported}"
 
 
-def test_the_library_does_not_import_the_workflow():
-    """The library uses neither jobs nor files of a study; it reports mistakes with its own input errors."""
+def test_the_library_reports_its_own_errors():
     for path in MODULES:
         module = name_of(path)
-        if not module.startswith(("tasklens.pipeline", "tasklens.cli")):
-            assert not [name for name in imports_of(path) if name.startswith("tasklens.pipeline")], module
-            assert module.startswith("tasklens.study") or "StudyError" not in path.read_text(), module
+        if not module.startswith(("tasklens.study", "tasklens.cli")):
+            assert "StudyError" not in path.read_text(), module
 
 
 def test_modules_of_a_room_do_not_import_in_a_circle():
@@ -92,7 +89,7 @@ def test_modules_of_a_room_do_not_import_in_a_circle():
 def test_only_the_jobs_that_measure_import_restoration():
     users = {name_of(path) for path in MODULES if any(name.startswith("restoration") for name in imports_of(path))}
     outside_users = {user for user in users if not user.startswith("restoration")}
-    assert outside_users == {f"tasklens.jobs.{name}" for name in ("restore", "classify", "captures")}
+    assert outside_users == {f"tasklens.study.jobs.{name}" for name in ("restore", "classify", "captures")}
 
 
 def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
@@ -106,7 +103,7 @@ def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
 
 def test_parsing_a_study_needs_no_torch():
     """Each cluster job parses the Snakefile again: what it imports must stay light."""
-    pipeline = [f"tasklens.pipeline.{name}" for name in ("digest", "changes", "forecast", "snakemake_internals")]
+    pipeline = [f"tasklens.study.run.{name}" for name in ("digest", "changes", "forecast", "snakemake_internals")]
     study = [name_of(path) for path in (ROOT / "tasklens" / "study").glob("*.py")]
     others = [
         "tasklens",
@@ -117,22 +114,13 @@ def test_parsing_a_study_needs_no_torch():
     ]
     heavy = ("torch", "timm", "pandas", "numpy", "scipy", "matplotlib")
     assert imported_with([*others, *study, *pipeline], heavy) == ""
-    assert "pandas" in imported_with(["tasklens.report.tables"], heavy)  # it would be seen
+    assert "pandas" in imported_with(["tasklens.study.report.tables"], heavy)  # it would be seen
 
 
 def test_tables_need_no_torch():
-    names = (
-        "tables",
-        "verdicts",
-        "verification",
-        "tails",
-        "ablations",
-        "regimes",
-        "bootstrap",
-        "publish",
-        "measurements",
-    )
-    assert imported_with([f"tasklens.report.{name}" for name in names], ("torch", "matplotlib")) == ""
+    names = ("tables", "verdicts", "verification", "tails", "ablations", "measurements")
+    modules = [f"tasklens.study.report.{name}" for name in names]
+    assert imported_with([*modules, "tasklens.show.bootstrap", "tasklens.show.publish"], ("torch", "matplotlib")) == ""
 
 
 NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
@@ -165,7 +153,7 @@ def test_jobs_import_what_they_use():
     assert {job for chain in CHAINS for job in chain} == UNUSED.keys()
     code = (
         f"import importlib, os, sys, torch\nunused = {UNUSED!r}\nfor jobs in {CHAINS!r}:\n    if not os.fork():\n"
-        "        for job in jobs:\n            importlib.import_module(f'tasklens.jobs.{job}')\n"
+        "        for job in jobs:\n            importlib.import_module(f'tasklens.study.jobs.{job}')\n"
         "            if loaded := [m for m in unused[job] if m in sys.modules]: sys.exit(f'{job}: {loaded}')\n"
         "        sys.exit()\n    os.wait()"
     )
@@ -205,7 +193,11 @@ def test_what_a_job_takes_of_the_settings_is_classes():
     modules = (digest.reached_modules(function.rpartition(".")[0]) for function in FUNCTIONS.values())
     for module in set().union(*modules):
         for node in ast.walk(digest.parse(module)):
-            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith(digest.SETTINGS):
+            if (
+                isinstance(node, ast.ImportFrom)
+                and (node.module or "").count(".") > 1
+                and digest.is_settings(node.module)
+            ):
                 constants = [alias.name for alias in node.names if alias.name.isupper() or alias.name.islower()]
                 assert node.module == "tasklens.settings.names" or not constants, f"{module}: {ast.unparse(node)}"
 
@@ -217,7 +209,7 @@ def test_digests_cover_all_but_the_settings():
         waiting, reached = [first], set()
         while waiting:
             module = waiting.pop()
-            if module not in reached and not f"{module}.".startswith(digest.SETTINGS):
+            if module not in reached and not digest.is_settings(module):
                 reached.add(module)
                 path = ROOT.joinpath(*module.split("."))
                 path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
@@ -277,7 +269,7 @@ READ_IMAGES = {
     "scenes",
     *TASKS,
 }
-JUDGE = {"verdicts_table", "regimes_table", "ablation", "report_page"}
+JUDGE = {"verdicts_table", "ablation", "report_page"}
 RESAMPLED = JUDGE | {"ranking_table", "tolerances_table"}
 TABLES = {f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "ranking", "tolerances", "tasks")}
 TABLES |= {"table", "certificate", "production"}
@@ -294,24 +286,24 @@ def test_words_do_not_change_a_digest(digests, edit_code):
     edit_code("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread')
     edit_code("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices")
     edit_code("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n")
-    assert edit_code("tasklens/jobs/design.py", '"""Write the prescription', '"""Write a prescription') == digests
+    assert edit_code("tasklens/study/jobs/design.py", '"""Write the prescription', '"""Write a prescription') == digests
 
 
 MODULES_OF = {
     "tasklens.optics.psf": OPTICS,
-    "tasklens.imaging": RENDER,
+    "tasklens.camera.imaging": RENDER,
     "tasklens.recognition.scenes": READ_IMAGES,
     "tasklens.design.constraints": {"design"},
-    "tasklens.report.measurements": MEASUREMENTS,
-    "tasklens.report.publish": TABLES | JUDGE | {"sweep_table"},
+    "tasklens.study.report.measurements": MEASUREMENTS,
+    "tasklens.show.publish": TABLES | JUDGE | {"sweep_table"},
     "restoration.nafnet": SEE,
-    "tasklens.jobs.design": {"design"},
+    "tasklens.study.jobs.design": {"design"},
     "tasklens.optics.analysis.diffraction": OPTICS,
-    "tasklens.jobs.classify": SEE - {"restore", "captures"},
+    "tasklens.study.jobs.classify": SEE - {"restore", "captures"},
     "tasklens.optics.analysis.tail": {"psf_tail_table", *FIGURES},
-    "tasklens.report.figures": FIGURES,
-    "tasklens.report.page.words": {"report_page"},
-    "tasklens.report.bootstrap": RESAMPLED,
+    "tasklens.show.figures": FIGURES,
+    "tasklens.study.report.page.words": {"report_page"},
+    "tasklens.show.bootstrap": RESAMPLED,
 }
 
 
@@ -325,10 +317,10 @@ def test_only_these_jobs_run_a_module(module, rules):
 @pytest.mark.parametrize(
     "path, old, new, touched",
     [
-        ("tasklens/report/tables.py", "ddof=1", "ddof=0", {"table"}),
+        ("tasklens/study/report/tables.py", "ddof=1", "ddof=0", {"table"}),
         ("restoration/training.py", "_WARMUP = 0.05", "_WARMUP = 0.1", {"restore"}),
-        ("tasklens/report/page/page.css", "{", "{color: red;", {"report_page", "ranking_table"}),
-        ("tasklens/report/ranking.html", "<table", "<table class='other'", {"ranking_table"}),
+        ("tasklens/show/page.css", "{", "{color: red;", {"report_page", "ranking_table"}),
+        ("tasklens/show/ranking.html", "<table", "<table class='other'", {"ranking_table"}),
         (
             "tasklens/settings/specification.py",
             "Field(68.8,",
@@ -346,7 +338,7 @@ def test_code_changes_the_digests_of_the_jobs_that_run_it(digests, edit_code, pa
 
 def test_an_unknown_module_raises():
     with pytest.raises(ValueError, match="bake"):
-        digest.code_digest("tasklens.jobs.bake.run")
+        digest.code_digest("tasklens.study.jobs.bake.run")
 
 
 @pytest.mark.parametrize("path", MODULES, ids=name_of)

@@ -14,13 +14,13 @@ from snakemake.target_jobs import parse_target_jobs_cli_args
 from workflows import forked, plan, snakemake
 
 from tasklens.cli.app import main
-from tasklens.pipeline import closing, runs
-from tasklens.pipeline.changes import PlannedJob
-from tasklens.pipeline.forecast import Durations
-from tasklens.pipeline.terminal import Terminal
 from tasklens.runtime.errors import InputError
 from tasklens.study.loading import at_points, dump, load, parse
 from tasklens.study.report_jobs import SweepJob
+from tasklens.study.run import closing, runs
+from tasklens.study.run.changes import PlannedJob
+from tasklens.study.run.forecast import Durations
+from tasklens.study.run.terminal import Terminal
 from tasklens.study.study import StudyError
 
 GRID = {"spec.f_number": [2.0, 2.8], "capture.diffraction": [False, True]}

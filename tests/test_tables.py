@@ -10,10 +10,11 @@ import pytest
 import yaml
 from examples import changed, lens_file, measurement, measurements_of, result, tiny_study, write
 
-from tasklens.report import headings, tables
-from tasklens.report.failure import failed
 from tasklens.settings.names import SHARP, measured
+from tasklens.show import headings
 from tasklens.study.loading import dump, parse
+from tasklens.study.report import tables
+from tasklens.study.report.failure import failed
 from tasklens.study.study import TABLES
 from tasklens.study.tables import table as table_of
 

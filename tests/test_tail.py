@@ -15,8 +15,8 @@ from tasklens.optics.analysis.spots import distances
 from tasklens.optics.analysis.tail import RADII_UM, encircled_energy, tail
 from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import view_of_spec
-from tasklens.report.tails import publish_tails
 from tasklens.settings.specification import Spec
+from tasklens.study.report.tails import publish_tails
 
 
 def tail_of(monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.MISSED) -> tuple[dict, pandas.DataFrame]:

@@ -11,6 +11,7 @@ from examples import by_descents, changed, materials, random_images, tiny_study,
 from torch.nn import BatchNorm2d
 from torch.nn.functional import interpolate
 
+from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
@@ -18,8 +19,6 @@ from tasklens.design.descent import Descent
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.supervision import SELECTION, VALIDATION, Supervisor, loss_at_psf
-from tasklens.imaging import PsfCamera, psnr
-from tasklens.jobs import design as design_job
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields
 from tasklens.optics.io import prescription
@@ -30,6 +29,7 @@ from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
+from tasklens.study.jobs import design as design_job
 from tasklens.study.loading import parse
 from tasklens.study.tables import lens_design
 

@@ -18,18 +18,18 @@ from tasklens.design.criteria import TaskLoss
 from tasklens.design.supervision import Supervisor
 from tasklens.materials.catalogues import PLASTICS
 from tasklens.optics.io import prescription
-from tasklens.pipeline.outcome import outcome
 from tasklens.recognition import object_scenes, object_splits, objects, task_networks, training
 from tasklens.recognition.object_tasks import Detection, Segmentation
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections
 from tasklens.recognition.tasks import CLASSIFICATION
-from tasklens.report import tasks as report_tasks
 from tasklens.runtime.errors import InputError
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.task_settings import SceneSettings, TaskSettings
 from tasklens.study import claims, tables, task_jobs
 from tasklens.study.loading import parse
+from tasklens.study.report import tasks as report_tasks
+from tasklens.study.run.outcome import outcome
 from tasklens.study.study import StudyError
 
 TRAINING = {"epochs": 1, "learning_rate": 1e-3, "batch_size": 4}

@@ -7,14 +7,12 @@ import numpy
 import pandas
 import pytest
 import yaml
-from examples import changed, lens_file, measurement, measurements_of, read_rows, tiny_study, write
+from examples import changed, measurement, measurements_of, read_rows, tiny_study, write
 from rules import finish
 from study_results import IMAGES, write_results
 
-from tasklens.report import answers_file, verdicts
-from tasklens.report.bootstrap import holm
-from tasklens.report.verdicts import FAILS, HOLDS, UNDECIDED
 from tasklens.runtime.files import FileError
+from tasklens.show.bootstrap import holm
 from tasklens.study import claims, tables
 from tasklens.study.claims import (
     FEWER_ELEMENTS,
@@ -24,8 +22,9 @@ from tasklens.study.claims import (
     OVER_IMAGING1,
     OVER_LEAST_SQUARES,
 )
-from tasklens.study.effort import tried_in_all
 from tasklens.study.loading import dump, parse
+from tasklens.study.report import answers_file, verdicts
+from tasklens.study.report.verdicts import FAILS, HOLDS, UNDECIDED
 
 DOUBLET = ["COC", "OKP4"]
 
@@ -344,29 +343,6 @@ def test_lenses_of_other_specifications_are_no_baselines():
         f"{name}-tasklens": (f"{name}-image_error", *(f"{name}-imaging{k}" for k in (1, 2, 3)))
         for name in ("doublet", "triplet_f2")
     }
-
-
-def test_map_of_regimes():
-    """A row per elements: the planted difference from the baseline with the best minival, and the specification."""
-    study = study_of(1).model_copy(update={"specs": {"triplet": {"f_number": 2.0}}})
-    share = {"doublet-tasklens": 0.7, "doublet-imaging2": 0.6, "triplet-tasklens": 0.4, "triplet-imaging3": 0.9}
-    write_results(study, lambda lens, *_: share.get(lens, 0.3))
-    for lens in study.lenses.values():
-        path = lens_file(study.name, lens.name)
-        spec = study.spec_of(lens.elements).model_dump(mode="json")
-        media = ["air", *(name for plastic in lens.plastics for name in (plastic.name, "air"))]
-        content = {"spec": spec, "surfaces": [{"medium": medium} for medium in media]}
-        path.write_text(yaml.safe_dump(yaml.safe_load(path.read_text()) | content))
-    paths = finish("regimes_table", study)
-    rows = pandas.read_csv(paths.csv).set_index("elements")
-    assert rows["difference"].to_dict() == pytest.approx({"doublet": 10, "triplet": -50}, abs=3)
-    assert rows["baseline"].to_dict() == {"doublet": "doublet-imaging2", "triplet": "triplet-imaging3"}
-    assert rows["f_number"].to_dict() == {"doublet": 2.8, "triplet": 2.0}
-    assert rows["element_count"].to_dict() == {"doublet": 2, "triplet": 3}
-    for elements in ("doublet", "triplet"):
-        assert rows["evaluations_task"][elements] == tried_in_all(study, f"{elements}-tasklens")
-        assert rows["evaluations_imaging"][elements] == tried_in_all(study, rows["baseline"][elements])
-    assert "doublet-imaging2" in paths.md.read_text()
 
 
 @pytest.mark.parametrize(

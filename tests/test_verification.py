@@ -8,10 +8,10 @@ import yaml
 from examples import changed, measurements_of, tiny_study, with_imported, write
 from rules import finish, outputs
 
-from tasklens.report import verification
 from tasklens.settings.names import SHARP, measured
 from tasklens.study import tables
 from tasklens.study.loading import parse
+from tasklens.study.report import verification
 
 FIELDS, IMAGES = 9, 40
 LENS = "singlet-imaging1"

@@ -16,7 +16,7 @@ from tasklens.cli.app import main
 from tasklens.design.request import LensRequest
 from tasklens.design.single import BASELINES, designs
 from tasklens.optics.psf import energy_inside, window_remark
-from tasklens.pipeline import screening
+from tasklens.study.run import screening
 
 LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-imaging3.yaml"
 WORDS = "PSF window of .* holds only .* % of the light"

@@ -12,8 +12,8 @@ from examples import changed, read_rows, tiny_study, write
 from workflows import command, forked, plan, smoke_with_imported, snakemake
 
 from tasklens.cli.app import main
-from tasklens.pipeline.forecast import Durations
 from tasklens.study.loading import dump, load, parse
+from tasklens.study.run.forecast import Durations
 
 
 def one_lens() -> dict:

@@ -15,8 +15,8 @@ from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.tolerancing import yields
 from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.view import View
-from tasklens.report.yields import summary
 from tasklens.settings.tolerance_settings import GRADES, Grade
+from tasklens.show.yields import summary
 
 VIEW = View(f64([[0.0, 0.0], [0.0, 9.0], [0.0, 18.0]]), 50.0, (0.5876,), 20.0, 51)
 FINE = Grade.model_validate({name: 0.02 * value for name, value in GRADES["precision_moulding"].items()})

@@ -25,8 +25,9 @@ import pandas
 from matplotlib.figure import Figure
 from scipy.stats import t
 
-from tasklens.report import answers_file, bootstrap, vector_files, verdicts
-from tasklens.report.answers_file import PackedMeasurements
+from tasklens.show import bootstrap, vector_files
+from tasklens.study.report import answers_file, verdicts
+from tasklens.study.report.answers_file import PackedMeasurements
 
 FOLDER = Path(__file__).parent
 STEPS = {  # designs of each step; of several, the one with the best minival accuracy in each seed

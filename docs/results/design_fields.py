@@ -12,9 +12,10 @@ import pandas
 from matplotlib.figure import Figure
 
 from tasklens.fields import GRADING_CENTRES, PAPER
-from tasklens.report import answers_file, vector_files
 from tasklens.settings.field_settings import radii
+from tasklens.show import vector_files
 from tasklens.study import loading
+from tasklens.study.report import answers_file
 
 FOLDER = Path(__file__).parent
 ABLATIONS = {"design_fields": "task, from flat plates", "design_fields_correlation": "image correlation"}

@@ -15,10 +15,10 @@ from pathlib import Path
 import pandas
 
 from tasklens.recognition import classifiers, dataset, evaluation
-from tasklens.report import answers_file, verdicts
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.names import SHARP
 from tasklens.study import loading
+from tasklens.study.report import answers_file, verdicts
 from tasklens.study.study import Study
 
 FOLDER = Path(__file__).parent

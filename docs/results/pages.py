@@ -23,7 +23,7 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.report.publish import markdown
+from tasklens.show.publish import markdown
 
 FOLDER = Path(__file__).parent
 BLOCK = re.compile(r"(<!-- (\w+): (.*?) \| (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)

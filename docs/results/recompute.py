@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.report import answers_file, verdicts
+from tasklens.study.report import answers_file, verdicts
 
 FOLDER = Path(__file__).parent
 _KEYS = ["table", "claim", "lens", "baseline", "classifier"]

@@ -7,10 +7,10 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.api.captures import check_light
+from tasklens.camera.imaging import PsfCamera, check_capture, check_images, field_indices
 from tasklens.design import from_lens
 from tasklens.design.constraints import penalty
 from tasklens.design.variables import Variables, with_coefficients
-from tasklens.imaging import PsfCamera, check_capture, check_images, field_indices
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import check_rays
 from tasklens.optics.analysis.spots import evaluation_psf

@@ -8,7 +8,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from tasklens.imaging import PsfCamera, check_capture
+from tasklens.camera.imaging import PsfCamera, check_capture
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
@@ -110,8 +110,8 @@ def simulate_whole_sensor(
     Example:
         >>> capture = tasklens.simulate_whole_sensor(lens, view, "cat.jpg")  # 1080 x 1920: a quarter of a minute
     """
-    from tasklens.simulation.blend import capture
-    from tasklens.simulation.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
+    from tasklens.camera.blend import capture
+    from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 
     check_capture(colour)
     if image_pixel_pitch_um is not None and not image_pixel_pitch_um > 0:

@@ -8,19 +8,19 @@ from pathlib import Path
 import torch
 
 from tasklens.api.captures import check_light
-from tasklens.imaging import PsfCamera, check_capture
+from tasklens.camera.imaging import PsfCamera, check_capture
+from tasklens.camera.sensor import noise
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.recognition import class_folders, folders, user_images
-from tasklens.report.image_files import write_captures
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
-from tasklens.sensor import noise
 from tasklens.settings.capture_settings import SensorSettings
+from tasklens.show.image_files import write_captures
 
 FIELDS = "fields.csv"  # of the captures
 _DRAWS = 8  # draws of nine fields

@@ -27,11 +27,11 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
-from tasklens.report import drawing
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, as_paths, positive
 from tasklens.runtime.tensors import as_tensor, explained
 from tasklens.settings.specification import Spec
+from tasklens.show import drawing
 
 
 def load_lens(
@@ -45,6 +45,7 @@ def load_lens(
     wavelengths_um: Sequence[float] | None = None,
     object_distance_mm: float | None = None,
     configuration: int | None = None,
+    focus: str | float | None = None,
 ) -> tuple[Lens, View]:
     """Read a lens and its specification from a lens.yaml or a Zemax file (.zmx).
 
@@ -59,6 +60,8 @@ def load_lens(
         wavelengths_um: wavelengths; the middle one is the reference.
         object_distance_mm: from the object to the first vertex, or infinity.
         configuration: of a Zemax file with several.
+        focus: image plane: "file"; "mtf" or "spot", where these are best; or its shift away from the lens [um]. None:
+            as in the file, but at the peak of the MTF if the object is at another distance.
 
     Returns:
         The lens, and the view: nine fields from the axis to the corner, wavelengths, pixels, object distance. If the
@@ -81,6 +84,7 @@ def load_lens(
         f_number=f_number,
         pixel_pitch_um=pixel_pitch_um,
         kernel_size=kernel_size,
+        focus=focus,
     )
     for remark in file.remarks:
         warnings.warn(f"{path}: {remark}", stacklevel=2)

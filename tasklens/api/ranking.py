@@ -14,8 +14,8 @@ from timm.data import ImageNetInfo
 from torch import Tensor, nn
 
 from tasklens.api.captures import check_light
+from tasklens.camera.imaging import PsfCamera
 from tasklens.fields import GRADING, GRADING_CENTRES, PAPER, Points
-from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis.datasheet import means
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import evaluation_psf
@@ -27,14 +27,14 @@ from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.sharp import TooFewImages, better_than_guessing
-from tasklens.report import between_fields, headings
-from tasklens.report import ranking as report
-from tasklens.report.figures import section_svg
-from tasklens.report.ranking import Rank
 from tasklens.runtime.devices import CPU
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, write_text
 from tasklens.runtime.tensors import explained
+from tasklens.show import between_fields, headings
+from tasklens.show import ranking as report
+from tasklens.show.figures import section_svg
+from tasklens.show.ranking import Rank
 
 _RAYS = 4096  # rays of each field and colour
 

@@ -7,8 +7,8 @@ from tasklens.design.chain import Designs
 from tasklens.design.single import BASELINES
 from tasklens.fields import SELECTION
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.report import between_fields
-from tasklens.report.bootstrap import interval, resampled_means
+from tasklens.show import between_fields
+from tasklens.show.bootstrap import interval, resampled_means
 
 _CHOICE = 200  # maximum number of design images used to select the best lens for image quality
 

@@ -75,8 +75,8 @@ def simulate(
 ) -> None:
     """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""
     from tasklens import api
-    from tasklens.report import image_files
     from tasklens.settings.capture_settings import SensorSettings
+    from tasklens.show import image_files
 
     new_file(output, force, ".png", ".jpg", ".jpeg")
     if grid and field != "axis":

@@ -170,7 +170,7 @@ def design(
     classifier = _network(method.method, network, save_network, force)
     from tasklens.design import single
     from tasklens.design.request import LensRequest
-    from tasklens.report import glance
+    from tasklens.show import glance
 
     request = LensRequest(
         method=method.method,
@@ -227,8 +227,8 @@ def _network(
 def _write(output: Path, result: "Designs", save_network: Path | None, improved: bool) -> dict[str, Any]:
     """Write the lens, its catalogue and the trained network; return a summary; raises InputError for a dark lens."""
     from tasklens.optics.io import lens_files
-    from tasklens.report import glance
     from tasklens.runtime.files import write_tensors
+    from tasklens.show import glance
 
     notes = result.notes
     dark = sum(not math.isfinite(radius) for radius in notes["figures"]["rms_centroid_um"])

@@ -34,7 +34,7 @@ def show(
 ) -> None:
     """Summarise lenses: elements, focal length, sharpness from axis to corner, tightest margin."""
     from tasklens.optics.analysis.datasheet import figures
-    from tasklens.report import glance
+    from tasklens.show import glance
 
     lenses = {str(path): read(path) for path in files}
     summaries = {
@@ -54,7 +54,7 @@ def show(
 def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = False) -> None:
     """Compare lenses in one table, a row per lens."""
     from tasklens.optics.analysis.datasheet import figures
-    from tasklens.report import glance
+    from tasklens.show import glance
 
     lenses = {name: read(path) for name, path in _named(files, whole=json).items()}
     rows = [glance.row(name, lens.content, figures(lens.lens, lens.view, rays)) for name, lens in lenses.items()]
@@ -71,7 +71,7 @@ def analyse(
 ) -> None:
     """Print all figures of a lens: first-order data, figures by field, aberrations by surface."""
     from tasklens.optics.analysis.datasheet import figures, seidel_by_surface
-    from tasklens.report import certificate
+    from tasklens.show import certificate
 
     lens = read(file)
     view = lens.view if sensor_fields else lens.own_view
@@ -93,7 +93,7 @@ def draw(
     force: Force = False,
 ) -> None:
     """Draw lenses one above the other: cross-section with rays, spots, PSFs, ray fans, MTF, distortion."""
-    from tasklens.report import drawing, figures
+    from tasklens.show import drawing, figures
 
     new_file(output, force, ".png", ".svg", ".pdf")
     lenses = {name: read(path) for name, path in _named(files).items()}
@@ -117,8 +117,8 @@ def tolerance(
     """Monte Carlo tolerancing: yield, worst offenders, and tolerances for a drawing."""
     from tasklens.optics.analysis import focus
     from tasklens.optics.tolerancing import yields
-    from tasklens.report import yields as report
     from tasklens.settings.tolerance_settings import GRADES, Grade
+    from tasklens.show import yields as report
 
     if grade not in GRADES:
         raise InputError(f"--grade {grade}: expected one of {', '.join(GRADES)}")
@@ -148,7 +148,7 @@ def psf(
 ) -> None:
     """Compute the point spread functions at nine fields and each wavelength."""
     from tasklens import api
-    from tasklens.report import image_files
+    from tasklens.show import image_files
 
     new_file(output, force, ".npz", ".safetensors", ".png")
     lens = read(file)

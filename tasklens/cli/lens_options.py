@@ -1,15 +1,12 @@
 """Options of every command that reads lenses."""
 
-import math
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tasklens.cli.outputs import say
-from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from tasklens.optics.io.lens_files import LensFile
@@ -78,36 +75,18 @@ def reader(
             f_number=f_number,
             pixel_pitch_um=pixel_pitch,
             kernel_size=kernel_size,
+            focus=None if focus is None else _focus(focus),
         )
         for remark in file.remarks:
             say(f"{path}: {remark}")
-        return file if focus is None else _focused(file, focus, path)
+        return file
 
     return read
 
 
-def _focused(file: "LensFile", focus: str, path: Path) -> "LensFile":
-    """Return a lens with its image plane as in the file, at the best focus, or shifted; raises InputError."""
-    from tasklens.optics.analysis.focus import refocused, shifted
-    from tasklens.optics.analysis.paraxial import check_focal_length
-    from tasklens.optics.io import lens_files
-
-    if focus == "file":
-        lens = shifted(file.lens, float(file.prescription.lens.thickness[-1] - file.lens.thickness[-1]))
-    elif focus in ("mtf", "best", "spot"):
-        check_focal_length(file.lens, file.view.reference_um, f"--focus {focus} needs")
-        lens = refocused(file.lens, file.view, "spot" if focus == "spot" else "mtf")
-        by = "the mean RMS spot" if focus == "spot" else "the MTF"
-        say(f"{path}: --focus {1e3 * float(lens.thickness[-1] - file.lens.thickness[-1]):.1f}, by {by}")
-    else:
-        lens = shifted(file.lens, 1e-3 * _micrometres(focus))
-    return replace(file, lens=lens, content=lens_files.without_figures(file.content))
-
-
-def _micrometres(focus: str) -> float:
+def _focus(text: str) -> str | float:
+    """Return a name of a focus, or a shift [um]; `best` is an older name of `mtf`."""
     try:
-        if math.isfinite(shift := float(focus)):
-            return shift
+        return float(text)
     except ValueError:
-        pass
-    raise InputError(f"--focus {focus}: expected a number of micrometres, such as -10, or file, mtf or spot")
+        return "mtf" if text == "best" else text

@@ -122,9 +122,9 @@ def rank(
     classifier = network.settings()
     assert classifier is not None  # it has a name
     from tasklens.materials.library import user_files
-    from tasklens.pipeline import ranking, screening
     from tasklens.recognition import user_images
     from tasklens.study import loading
+    from tasklens.study.run import ranking, screening
 
     spec = sensor.spec()
     paths = screening.lens_paths(lenses)

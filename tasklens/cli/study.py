@@ -10,13 +10,13 @@ import typer
 from tasklens.cli.network_options import nested
 from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json
-from tasklens.pipeline import changes, new_study, planning, runs
-from tasklens.pipeline.digest import SNAKEFILE
-from tasklens.pipeline.forecast import Durations, duration, durations_of
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
 from tasklens.study import loading
 from tasklens.study.parts import whole_study_name
+from tasklens.study.run import changes, new_study, planning, runs
+from tasklens.study.run.digest import SNAKEFILE
+from tasklens.study.run.forecast import Durations, duration, durations_of
 from tasklens.study.study import Study
 
 app = typer.Typer(no_args_is_help=True)
@@ -157,7 +157,7 @@ def check(
     weight_files: Annotated[bool, typer.Option(help="Check that the weight files of all classifiers exist.")] = True,
 ) -> None:
     """Check a study file, its images and imported lenses; compile the tracer if necessary; print a summary."""
-    from tasklens.pipeline.checks import check as check_study
+    from tasklens.study.run.checks import check as check_study
 
     for study in loading.at_points(loading.load(*files)):
         check_study(study, build, weight_files)

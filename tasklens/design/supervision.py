@@ -16,9 +16,9 @@ from torch import Tensor
 from torchvision.transforms.v2 import TrivialAugmentWide
 from torchvision.transforms.v2.functional import resize
 
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design.criteria import CaptureCriterion, Criterion, FieldCriterion
 from tasklens.design.problem import Problem
-from tasklens.imaging import PsfCamera
 from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import sobol_disc

@@ -9,14 +9,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.imaging import PsfCamera, psnr
+from tasklens.camera.imaging import PsfCamera, psnr
+from tasklens.camera.sensor import noise
 from tasklens.optics.io import psf_files
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
-from tasklens.sensor import noise
 from tasklens.settings.capture_settings import CaptureSettings
 
 _WORST = 0.01  # fraction of images with the lowest PSNR, averaged in `worst_psnr_db`
@@ -44,15 +44,15 @@ class CapturePipeline:
         grid, light, turns = psf_files.read(psf, fields)
         return cls(PsfCamera.of(capture, grid.to(device), light.to(device)), network, turns)
 
-    def one_field(self, images: Tensor, generator: torch.Generator, share: slice = slice(None)) -> Tensor:
-        """Return captures of a share of images (B, 3, H, W) in [0, 1] at random fields of one part, for training."""
+    def one_field(self, images: Tensor, generator: torch.Generator) -> Tensor:
+        """Return captures of images (B, 3, H, W) in [0, 1] at random fields of one part, for training."""
         if self.camera is None:
-            return self._restored(images[share])
+            return self._restored(images)
         count = len(self.camera.psf) // self.turns
         first = count * int(torch.randint(self.turns, (), generator=generator)) if self.turns > 1 else 0
         fields = first + torch.randint(count, (len(images),), generator=generator)
-        pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)[share]
-        return self._restored(self.camera(images[share], fields[share], pixel_noise))
+        pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)
+        return self._restored(self.camera(images, fields, pixel_noise))
 
     def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:
         """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera.

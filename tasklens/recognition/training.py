@@ -13,7 +13,6 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import CLASSIFICATION, Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import send
-from tasklens.runtime.distributed import SINGLE_PROCESS, ProcessGroup
 from tasklens.runtime.progress import Progress
 from tasklens.settings.network_settings import TrainingSettings
 
@@ -67,9 +66,8 @@ def fit(
     training: TrainingSettings,
     seed: int,
     label: str,
-    capture: Callable[[Tensor, torch.Generator, slice], Tensor] = lambda images, generator, share: images[share],
+    capture: Callable[[Tensor, torch.Generator], Tensor] = lambda images, generator: images,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-    group: ProcessGroup = SINGLE_PROCESS,
     task: Task = CLASSIFICATION,
 ) -> None:
     """Train a network in place and leave it in `eval()`.
@@ -80,20 +78,16 @@ def fit(
         training: settings of the training.
         seed: seed of the image order, the flips and the network's random numbers.
         label: label of progress lines, and name of the part of the checkpoint.
-        capture: function that captures a share of the sharp images (B, 3, H, W); it must draw the same random
-            numbers from the generator for every share.
-        checkpoint: checkpoint of the job; the first process saves it.
-        group: process group; all processes end with the same network.
+        capture: function that captures the sharp images (B, 3, H, W), with random numbers of the generator.
+        checkpoint: checkpoint of the job.
         task: task of the network.
 
     Raises:
         FloatingPointError: the loss, or a weight after the last step, is not finite.
     """
-    share = group.share
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
     steps = max(1, round(training.epochs * len(dataset) / training.batch_size)) if training.epochs else 0
-    parallel = group.wrap(network)
     groups = parameter_groups(network, training.weight_decay)
     optimizer = torch.optim.AdamW(groups, lr=training.learning_rate, fused=True)
     schedule = warmup_cosine(optimizer, steps, training.warmup)
@@ -110,8 +104,7 @@ def fit(
             raise FloatingPointError(
                 f"{label}: the loss became {loss} at step {step} of {steps}; lower its learning_rate"
             )
-        if group.is_first:
-            progress(step, loss=loss)
+        progress(step, loss=loss)
 
     before: Tensor | None = None
     network.train()
@@ -121,18 +114,16 @@ def fit(
         if before is not None:  # after the images are fetched, which overlaps with the previous step on a GPU
             check(step - 1, before.item())
         images = torch.where(flip[:, None, None, None], images.flip(-1), images)
-        loss = task.loss(parallel, capture(images, generator, share), labels[share], flip[share])
+        loss = task.loss(network, capture(images, generator), labels, flip)
         optimizer.zero_grad()
         loss.backward()
         optimizer.step()
         schedule.step()
         before = loss.detach()
-        if group.is_first:
-            part.save(step, loss=before)
+        part.save(step, loss=before)
     if before is not None:
         check(steps, before.item())
     if not all(parameter.isfinite().all() for parameter in network.parameters()):
         raise FloatingPointError(f"{label}: weights are not finite; lower its learning_rate")
-    if group.is_first:
-        part.finish(network=network.state_dict())
+    part.finish(network=network.state_dict())
     network.eval()

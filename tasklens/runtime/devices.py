@@ -24,43 +24,32 @@ def claim() -> torch.device:
 
     Repeated calls return the same GPU. Parallel jobs of Snakemake are distributed over the visible GPUs, and wait if
     each of these has `TASKLENS_JOBS_PER_GPU` jobs, by default one.
-    """
-    (device,) = claim_several(1)
-    if device != CPU:
-        torch.cuda.set_device(device)
-    return device
-
-
-def claim_several(number: int) -> list[torch.device]:
-    """Claim several GPUs, for a process group; without GPUs, return the CPU as often.
 
     Raises:
         InputError: the number of jobs per GPU is not a positive integer.
     """
     count = torch.cuda.device_count()
     if count == 0:
-        return number * [CPU]
+        return CPU
     value = os.environ.get(JOBS_PER_GPU, "1")
     if not (value.isdecimal() and int(value)):
         raise InputError(f"{JOBS_PER_GPU}={value}: expected a positive integer")
-    if number > 1:  # two groups that claim GPUs at the same time could deadlock
-        wait_until(lambda: _lock("several"), "another process group that is claiming GPUs")
     names = [torch.cuda.get_device_properties(index).uuid for index in range(count)]
     shares = [(index, f"{names[index]}-{share}") for share, index in product(range(int(value)), range(count))]
-    gpus: list[torch.device] = []
+    shares.sort(key=lambda entry: entry[1] not in _locked)  # that of this process first
+    gpus: list[int] = []
 
     def claimed() -> bool:
-        gpus.clear()
-        for index, share in sorted(shares, key=lambda entry: entry[1] not in _locked):  # those of this process first
-            gpu = torch.device("cuda", index)
-            if len(gpus) < number and gpu not in gpus and _lock(share):
-                gpus.append(gpu)
-        return len(gpus) == number
+        for index, share in shares:
+            if _lock(share):
+                gpus.append(index)
+                return True
+        return False
 
-    wait_until(claimed, f"{number} of {count} GPUs, held by your other jobs")
-    if number > 1:
-        _locked.pop("several").release()
-    return gpus
+    wait_until(claimed, f"one of {count} GPUs, held by your other jobs")
+    device = torch.device("cuda", gpus[0])
+    torch.cuda.set_device(device)
+    return device
 
 
 def send(tensor: Tensor, device: torch.device) -> Tensor:

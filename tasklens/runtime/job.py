@@ -4,7 +4,6 @@ import ctypes
 import gc
 import hashlib
 import os
-import subprocess
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, nullcontext
@@ -30,7 +29,6 @@ def run(
     inputs: Mapping[str, Paths],
     outputs: Mapping[str, str],
     log: Path,
-    group: Sequence[str] = (),
 ) -> None:
     """Call the function of a job; its checkpoint is removed when the outputs are complete.
 
@@ -44,22 +42,14 @@ def run(
             may be missing.
         outputs: output files by name.
         log: results/<study>/logs/<label>.log.
-        group: command that starts a process group; its processes call this function without `group`.
     """
     folder, label = place(log)
     name = label.replace("/", "-", 1)
     key = _digest(function, settings, code, *_states(inputs))
     checkpoint = _checkpoint_path(key, folder / "checkpoints" / name)
-    if "RANK" in os.environ:  # a process of a group: its parent holds the lock, and the first process reports
-        with progress_file(str(folder), label) if os.environ["RANK"] == "0" else nullcontext():
-            _call(function, settings, inputs, outputs, checkpoint)
-        return
     lock = job_lock.alone(folder / "locks" / f"{name}.lock", key, [Path(path) for path in outputs.values()])
     with lock if outputs else nullcontext(True) as work:
-        if work and group:
-            if status := subprocess.run(group, env=os.environ | {"OMP_NUM_THREADS": "1"}).returncode:
-                raise SystemExit(status)
-        elif work:
+        if work:
             with progress_file(str(folder), label):
                 _call(function, settings, inputs, outputs, checkpoint)
         checkpoint.unlink(missing_ok=True)
@@ -103,7 +93,7 @@ def run_program(program: Callable[[], object], log: Path | None) -> NoReturn:
     """
     keep_memory()
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")  # read when torch is imported
-    if log is not None and "RANK" not in os.environ:  # a process of a group inherits the log of its parent
+    if log is not None:
         log.parent.mkdir(parents=True, exist_ok=True)
         with open(log, "w") as file:
             os.dup2(file.fileno(), sys.stderr.fileno())
@@ -209,5 +199,5 @@ def _checkpoint_path(digest: str, name: Path) -> Path:
     path = name.with_name(f"{name.name}-{digest}.pt")
     for other in name.parent.glob(f"{name.name}-{16 * '[0-9a-f]'}.pt"):
         if other != path:
-            other.unlink(missing_ok=True)  # other processes of the group may remove it first
+            other.unlink(missing_ok=True)
     return path

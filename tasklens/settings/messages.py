@@ -30,6 +30,7 @@ _KINDS = {  # expected values, by pydantic's types of errors
     "invalid_key": "a key that is text",
     "path_not_file": "an existing file",
 }
+_REMOVED = {"processes": "no longer a key; several classifiers train at once instead (snakemake -j)"}
 
 
 def problems(error: ValidationError, settings: Any) -> list[str]:
@@ -66,7 +67,8 @@ def _line(item: ErrorDetails, settings: Any) -> str:
         about = f": {field.description}" if field is not None and field.description else ""
         return f"{'.'.join(keys)}: missing{about}"
     if kind == "extra_forbidden":
-        return f"{'.'.join(keys)}{_shown(value)}: unknown key{suggestion(keys[-1], place)}"
+        advice = _REMOVED.get(keys[-1]) or f"unknown key{suggestion(keys[-1], place)}"
+        return f"{'.'.join(keys)}{_shown(value)}: {advice}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         key = context["discriminator"].strip("'")
         where = ".".join([*keys, key])

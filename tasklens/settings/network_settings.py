@@ -7,7 +7,7 @@ from pydantic import Field, computed_field, model_validator
 
 from tasklens.runtime import user_code
 from tasklens.settings.frozen import Frozen
-from tasklens.settings.quantities import Batch, Fraction, LearningRate, Seed, Small
+from tasklens.settings.quantities import Batch, Fraction, LearningRate, Seed
 
 
 class TrainingSettings(Frozen):
@@ -52,11 +52,6 @@ class ClassifierSettings(Frozen):
         "all_imagenet: any of the 1000 may be the answer, right or wrong.",
     )
     training: TrainingSettings | None = Field(None, description="Training on the sharp images; null: none.")
-    processes: Small = Field(
-        1,
-        description="Size of the process group for fine-tuning on one machine; each process takes its share of every "
-        "batch, and its own GPU if there are GPUs.",
-    )
 
     @computed_field
     @property

@@ -23,7 +23,7 @@ def _rising(periods: tuple[float, float]) -> tuple[float, float]:
 
 Whole = Annotated[int, BeforeValidator(_no_truth)]  # not `true`, which is 1
 Count = Annotated[Whole, Field(gt=0, le=10**9)]
-Small = Annotated[Whole, Field(gt=0, le=1000)]  # levels, blocks, processes: one object each
+Small = Annotated[Whole, Field(gt=0, le=1000)]  # levels, blocks: one object each
 Batch = Annotated[Whole, Field(gt=0, le=2**16)]  # images at once: 10 GB with 224 pixels
 Rays = Annotated[Whole, Field(gt=0, le=2**20)]  # per field and colour: 10 GB
 Steps = Annotated[Whole, Field(gt=0, le=10**8)]  # ten days at 10 ms each

@@ -38,7 +38,7 @@ class ProductionJob(Frozen):
             centres=study.fields.grading_points,
             grading=study.fields.graded_points,
             capture=study.capture_of(lens),
-            classifier=study.network(study.supervisor),
+            classifier=study.classifier(study.supervisor),
             tolerances=study.tolerances.model_copy(update={"designs": None}),
         )
 

@@ -137,11 +137,6 @@ def _check_networks(study: Study) -> None:
                 f"classifiers.{name}.outputs: {classifier.outputs!r} needs photographs, `images.folder`, whose classes "
                 "are named by WordNet ids"
             )
-        if study.fine_tuning.batch_size % classifier.processes:
-            raise ValueError(
-                f"classifiers.{name}.processes: {classifier.processes} processes cannot share fine_tuning.batch_size = "
-                f"{study.fine_tuning.batch_size} equally"
-            )
     if study.images.size % study.restoration.multiple:
         raise ValueError(
             f"images.size: {study.images.size} is not a multiple of {study.restoration.multiple}, which the "

@@ -162,4 +162,4 @@ class ReproductionJob(CapturePipelineSettings):
     def of(cls, study: Study, lens: str, measured_name: str) -> "ReproductionJob":
         """Return the settings of the job."""
         name, restored = names.split(measured_name)
-        return cls(**_pipeline(study, lens, restored), classifier=study.network(name))
+        return cls(**_pipeline(study, lens, restored), classifier=study.classifier(name))

@@ -11,9 +11,8 @@ from tasklens.settings.restoration_settings import RestorationSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
 from tasklens.study import claims as paper_claims
-from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
-from tasklens.study.claims import Claim, Claims, PaperClaim
+from tasklens.study.claims import Claim, PaperClaim
 from tasklens.study.descriptions import description
 from tasklens.study.loading import dump
 from tasklens.study.study import Study, StudyError, pick
@@ -124,7 +123,7 @@ class CapturesJob(Frozen):
         return cls(
             captures={lens: study.capture_of(lens) for lens in contents.lenses},
             restoration=study.restoration if restored else None,
-            classifiers={name: study.network(name) for name in used},
+            classifiers={name: study.classifier(name) for name in used},
             measured=contents.measured,
             supervised=supervised,
             seed=study.seeds[0],
@@ -171,20 +170,6 @@ class TailsJob(SeededLenses):
         specs = {lens: study.lens_spec(lens) for lens in lenses}
         keys = {"study": study.name, "lenses": lenses, "seeds": study.seeds, "rays": study.evaluation_rays}
         return cls(**keys, specs=specs, fields=study.fields.grading_points)
-
-
-class RegimesJob(Frozen):
-    """The table of the gain of task-driven design; `tried` is the number of lens evaluations, by lens."""
-
-    claims: Claims
-    tried: dict[str, int]
-
-    @classmethod
-    def of(cls, study: Study) -> "RegimesJob":
-        """Return the settings of the job."""
-        claims = paper_claims.regime_claims(study)
-        lenses = sorted({lens for claim in claims.claims for lens in claim.lenses})
-        return cls(claims=claims, tried={lens: paper_effort.tried_in_all(study, lens) for lens in lenses})
 
 
 class MeritFunctionJob(Frozen):

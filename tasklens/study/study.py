@@ -201,10 +201,6 @@ class Study(Frozen):
         """Return the classifier `name`; raises StudyError with the known names."""
         return pick(self.classifiers, name, "classifier")
 
-    def network(self, name: str) -> ClassifierSettings:
-        """Return the classifier `name` for use without fine-tuning, so that its processes do not matter."""
-        return self.classifier(name).model_copy(update={"processes": 1})
-
     def task(self, name: str) -> TaskSettings:
         """Return the task `name`; raises StudyError with the known names."""
         return pick(self.tasks.networks, name, "task")

@@ -5,8 +5,8 @@ from inspect import signature
 
 from snakemake.exceptions import WorkflowError
 
-from tasklens.pipeline.digest import code_digest
-from tasklens.pipeline.forecast import durations_of
+from tasklens.study.run.digest import code_digest
+from tasklens.study.run.forecast import durations_of
 from tasklens.settings import names
 from tasklens.study import built_lenses, job_settings, report_jobs, task_jobs
 from tasklens.study import claims as paper_claims

@@ -21,7 +21,7 @@ rule design:
     resources:
         **needs("design") | {"gpu": lambda w: int(GPUS and study_of(w).lens(w.lens).reads_images)},
     params:
-        **call("tasklens.jobs.design.run"),
+        **call("tasklens.study.jobs.design.run"),
         settings=settings(paper_tables.lens_design),
     script:
         "../scripts/job.py"
@@ -41,7 +41,7 @@ rule psfs:
     resources:
         **needs("psfs"),
     params:
-        **call("tasklens.jobs.psfs.run"),
+        **call("tasklens.study.jobs.psfs.run"),
         settings=settings(job_settings.PsfJob.of),
     script:
         "../scripts/job.py"

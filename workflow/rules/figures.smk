@@ -22,7 +22,7 @@ rule certificate:
     resources:
         **needs("certificate"),
     params:
-        **call("tasklens.jobs.certificate.run"),
+        **call("tasklens.study.jobs.certificate.run"),
         settings=settings(report_jobs.CertificateJob.of),
     script:
         "../scripts/job.py"
@@ -51,7 +51,7 @@ rule drawing:
     resources:
         **needs("drawing"),
     params:
-        **call("tasklens.jobs.drawing.run"),
+        **call("tasklens.study.jobs.drawing.run"),
         settings=settings(report_jobs.DrawingJob.of),
     script:
         "../scripts/job.py"
@@ -79,7 +79,7 @@ rule comparison:
     resources:
         **needs("comparison"),
     params:
-        **call("tasklens.jobs.comparison.run"),
+        **call("tasklens.study.jobs.comparison.run"),
         settings=settings(report_jobs.ComparisonJob.of),
     script:
         "../scripts/job.py"
@@ -107,7 +107,7 @@ rule frames:
     resources:
         **needs("frames"),
     params:
-        **call("tasklens.jobs.frames.run"),
+        **call("tasklens.study.jobs.frames.run"),
         settings=settings(report_jobs.FramesJob.of),
     script:
         "../scripts/job.py"
@@ -134,7 +134,7 @@ rule captures:
     resources:
         **needs("captures", gpu=1),
     params:
-        **call("tasklens.jobs.captures.run"),
+        **call("tasklens.study.jobs.captures.run"),
         settings=settings(report_jobs.CapturesJob.of),
     script:
         "../scripts/job.py"

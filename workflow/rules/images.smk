@@ -19,7 +19,7 @@ rule images:
     resources:
         **needs("images"),
     params:
-        **call("tasklens.jobs.images.run"),
+        **call("tasklens.study.jobs.images.run"),
         settings=settings(job_settings.ImagesJob.of),
     script:
         "../scripts/job.py"
@@ -45,7 +45,7 @@ rule reference:
     resources:
         **needs("reference", gpu=1),
     params:
-        **call("tasklens.jobs.reference.run"),
-        settings=settings(lambda study, classifier: study.network(classifier)),
+        **call("tasklens.study.jobs.reference.run"),
+        settings=settings(lambda study, classifier: study.classifier(classifier)),
     script:
         "../scripts/job.py"

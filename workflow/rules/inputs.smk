@@ -59,11 +59,6 @@ def sharp_weights(wildcards):
     return path_of(rules.reference.output.weights, study_of(wildcards), classifier=classifier)
 
 
-def processes(wildcards):
-    """Return the size of the process group that fine-tunes a classifier."""
-    return study_of(wildcards).classifier(names.split(wildcards.measured_name)[0]).processes
-
-
 def supervisor_weights(wildcards):
     """Return the weights of the supervisor that was fine-tuned on a lens."""
     study = study_of(wildcards)
@@ -114,8 +109,11 @@ def design_benchmarks(wildcards):
 def optional_files(wildcards):
     """Return tables and figures that the page shows if they exist; they are not inputs, since they need more lenses."""
     study = study_of(wildcards)
-    patterns = [rules.regimes_table.output.csv, rules.merit_function_table.output.csv]
-    patterns += [rules.tolerances_table.output.csv, rules.tolerances_table.output.compared_csv]
+    patterns = [
+        rules.merit_function_table.output.csv,
+        rules.tolerances_table.output.csv,
+        rules.tolerances_table.output.compared_csv,
+    ]
     patterns += [rules.tasks_table.output.csv] if study.tasks.networks else []
     tables = [path_of(pattern, study) for pattern in patterns]
     tables += [path_of(rules.ablation.output.csv, study, ablation=name) for name in study.ablations]

@@ -20,13 +20,11 @@ rule fine_tune:
     benchmark:
         "results/{study}/benchmarks/fine_tune/{lens}-{measured_name}-seed{seed}.tsv"
     priority: early()
-    threads: processes
     resources:
-        **needs("fine_tune") | {"gpu": lambda w: processes(w) if GPUS else 0},
+        **needs("fine_tune", gpu=1),
     params:
-        **call("tasklens.jobs.classify.fine_tune"),
+        **call("tasklens.study.jobs.classify.fine_tune"),
         settings=settings(job_settings.FineTuningJob.of),
-        processes=processes,
     script:
         "../scripts/job.py"
 
@@ -47,7 +45,7 @@ rule reproduce:
     resources:
         **needs("reproduce", gpu=1),
     params:
-        **call("tasklens.jobs.classify.reproduce"),
+        **call("tasklens.study.jobs.classify.reproduce"),
         settings=settings(job_settings.ReproductionJob.of),
     script:
         "../scripts/job.py"

@@ -18,7 +18,7 @@ rule restore:
     resources:
         **needs("restore", gpu=1),
     params:
-        **call("tasklens.jobs.restore.run"),
+        **call("tasklens.study.jobs.restore.run"),
         settings=settings(job_settings.RestorationJob.of),
     script:
         "../scripts/job.py"

@@ -5,7 +5,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tasklens.pipeline import changes, planning
+from tasklens.study.run import changes, planning
 from tasklens.recognition import class_folders
 from tasklens.runtime import files
 from tasklens.runtime.errors import InputError
@@ -89,8 +89,8 @@ if snakemake_internals.is_main(workflow):
     if snakemake_internals.is_dry_run(workflow):
         snakemake_internals.after_dry_run(words_of_dry_run)
     else:  # these imports are slow, and jobs on a cluster do not need them
-        from tasklens.pipeline import closing
-        from tasklens.pipeline.terminal import Terminal
+        from tasklens.study.run import closing
+        from tasklens.study.run.terminal import Terminal
 
         terminal = Terminal(STUDY, study_named, snakemake_internals.is_quiet(workflow), unrecorded)
 

@@ -26,7 +26,7 @@ rule table:
     resources:
         **needs("table"),
     params:
-        **call("tasklens.report.tables.make"),
+        **call("tasklens.study.report.tables.make"),
         settings=settings(lambda study, table: paper_tables.table(study, table)),
     script:
         "../scripts/job.py"
@@ -53,33 +53,8 @@ rule verdicts_table:
     resources:
         **needs("verdicts_table"),
     params:
-        **call("tasklens.report.verdicts.make"),
+        **call("tasklens.study.report.verdicts.make"),
         settings=settings(paper_claims.claims),
-    script:
-        "../scripts/job.py"
-
-
-rule regimes_table:
-    """Make the table of the gain of task-driven design, by element count and specification."""
-    input:
-        **compared(lambda w: paper_claims.regime_claims(study_of(w))),
-    output:
-        csv=report(
-            "results/{study}/tables/regimes.csv",
-            caption="../report/regimes.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "where it pays"},
-        ),
-        md="results/{study}/tables/regimes.md",
-    log:
-        "results/{study}/logs/regimes_table.log",
-    benchmark:
-        "results/{study}/benchmarks/regimes_table.tsv"
-    resources:
-        **needs("regimes_table"),
-    params:
-        **call("tasklens.report.regimes.make"),
-        settings=settings(report_jobs.RegimesJob.of),
     script:
         "../scripts/job.py"
 
@@ -104,7 +79,7 @@ rule ablation:
     resources:
         **needs("ablation"),
     params:
-        **call("tasklens.report.ablations.make"),
+        **call("tasklens.study.report.ablations.make"),
         settings=settings(lambda study, ablation: paper_claims.ablation_claims(study, ablation)),
     script:
         "../scripts/job.py"
@@ -134,7 +109,7 @@ rule psf_tail_table:
     resources:
         **needs("psf_tail_table"),
     params:
-        **call("tasklens.jobs.psf_tail.run"),
+        **call("tasklens.study.jobs.psf_tail.run"),
         settings=settings(report_jobs.TailsJob.of),
     script:
         "../scripts/job.py"
@@ -163,7 +138,7 @@ rule effort_table:
     resources:
         **needs("effort_table"),
     params:
-        **call("tasklens.report.effort.make"),
+        **call("tasklens.study.report.effort.make"),
         settings=settings(paper_effort.effort),
         unawaited=design_benchmarks,
     script:
@@ -193,7 +168,7 @@ rule ranking_table:
     resources:
         **needs("ranking_table"),
     params:
-        **call("tasklens.report.ranking.make"),
+        **call("tasklens.study.report.ranking.make"),
         settings=settings(RankingJob.of),
     script:
         "../scripts/job.py"
@@ -227,7 +202,7 @@ rule merit_function_table:
     resources:
         **needs("merit_function_table"),
     params:
-        **call("tasklens.report.merit_function.make"),
+        **call("tasklens.study.report.merit_function.make"),
         settings=settings(report_jobs.MeritFunctionJob.of),
     script:
         "../scripts/job.py"
@@ -272,7 +247,7 @@ rule report_page:
     resources:
         **needs("report_page"),
     params:
-        **call("tasklens.report.page.assembly.make"),
+        **call("tasklens.study.report.page.assembly.make"),
         settings=settings(report_jobs.ReportJob.of),
         unawaited=optional_files,
     script:
@@ -294,7 +269,7 @@ rule sweep_table:
     resources:
         **needs("sweep_table"),
     params:
-        **call("tasklens.report.sweep.make"),
+        **call("tasklens.study.report.sweep.make"),
         settings=settings(report_jobs.SweepJob.of),
     script:
         "../scripts/job.py"
@@ -318,7 +293,7 @@ rule verify:
     resources:
         **needs("verify"),
     params:
-        **call("tasklens.report.verification.run"),
+        **call("tasklens.study.report.verification.run"),
         settings=settings(paper_tables.verification),
     script:
         "../scripts/job.py"

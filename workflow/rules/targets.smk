@@ -50,9 +50,9 @@ rule report:
 
 
 rule regimes:
-    """Gain of task-driven design compared with the best imaging lens, by element count and specification."""
+    """The verdicts, which have the numbers of this table of version 1.0."""
     input:
-        at_points(rules.regimes_table.output.csv),
+        at_points(rules.verdicts_table.output.csv),
 
 
 rule ranking:

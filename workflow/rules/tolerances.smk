@@ -19,7 +19,7 @@ rule production:
     resources:
         **needs("production", gpu=1),
     params:
-        **call("tasklens.jobs.production.run"),
+        **call("tasklens.study.jobs.production.run"),
         settings=settings(built_lenses.ProductionJob.of),
     script:
         "../scripts/job.py"
@@ -52,7 +52,7 @@ rule tolerances_table:
     resources:
         **needs("tolerances_table"),
     params:
-        **call("tasklens.report.tolerances.make"),
+        **call("tasklens.study.report.tolerances.make"),
         settings=settings(built_lenses.built),
     script:
         "../scripts/job.py"

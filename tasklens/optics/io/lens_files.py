@@ -12,11 +12,11 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
-from tasklens.optics.analysis.focus import refocused
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop
 from tasklens.optics.io import consistency, prescription, zemax
 from tasklens.optics.io.fields import field_tangents
+from tasklens.optics.io.image_plane import placed
 from tasklens.optics.io.light import light_remarks
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
@@ -69,6 +69,7 @@ def read(
     f_number: float | None = None,
     pixel_pitch_um: float | None = None,
     kernel_size: int | None = None,
+    focus: str | float | None = None,
 ) -> LensFile:
     """Read a lens with its specification.
 
@@ -83,6 +84,7 @@ def read(
         configuration: of a .zmx file with several; None: the one in which it was saved.
         wavelengths_um: wavelengths that replace those of the file; the middle one is the reference [um].
         field_of_view_deg, f_number, pixel_pitch_um, kernel_size: values of `Spec` that replace those of the file.
+        focus: place of the image plane, as in `image_plane.placed`.
 
     Raises:
         InputError: an object distance that is not positive.
@@ -107,13 +109,13 @@ def read(
             }
         )
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
-        if changes or wavelengths or object_distance_mm is not None:
+        if changes or wavelengths or object_distance_mm is not None or focus is not None:
             content = without_figures(content)
         if "spec" in content:
-            lens_file = _specified(source, content, changes, wavelengths, 1 / distance, str(path))
+            lens_file = _specified(source, content, changes, wavelengths, 1 / distance, str(path), focus)
         else:
             check_stop(source.lens)
-            lens_file = derived(source, changes, wavelengths, 1 / distance)
+            lens_file = derived(source, changes, wavelengths, 1 / distance, focus)
         return replace(
             lens_file, remarks=(*source.remarks, *lens_file.remarks, *light_remarks(lens_file.lens, lens_file.view))
         )
@@ -158,7 +160,13 @@ def check_distance(distance: Any) -> None:
 
 
 def _specified(
-    source: Prescription, content: dict, changes: dict, wavelengths: tuple[float, ...], vergence: float, name: str
+    source: Prescription,
+    content: dict,
+    changes: dict,
+    wavelengths: tuple[float, ...],
+    vergence: float,
+    name: str,
+    focus: str | float | None,
 ) -> LensFile:
     """Return a lens with the changed specification of its file."""
     lens, view = source.lens, view_of(source.lens, content, name)
@@ -166,19 +174,8 @@ def _specified(
     wavelengths = wavelengths or view.wavelengths_um
     lens.refractive_indices(wavelengths)
     lens, view = _changed(lens, replace(view, wavelengths_um=wavelengths, object_vergence=vergence), changes)
-    lens, remarks = _refocused(lens, view, source.object_distance_mm)
+    lens, remarks = placed(lens, view, source.object_distance_mm, focus)
     return LensFile(source, lens, view, content, tuple(remarks))
-
-
-def _refocused(lens: Lens, view: View, distance: float) -> tuple[Lens, list[str]]:
-    """Refocus a lens for the object of the view if its file has one at another `distance` [mm]; say so."""
-    if view.object_vergence == 1 / distance:
-        return lens, []
-    focused = refocused(lens, view)
-    shift = 1e3 * float(focused.thickness[-1] - lens.thickness[-1])
-    requested = f"{1 / view.object_vergence:g} mm" if view.object_vergence else "infinity"
-    own = "infinity" if math.isinf(distance) else f"{distance:g} mm"
-    return focused, [f"object at {own} in the file: refocused for {requested}, by {shift:.1f} um"]
 
 
 def read_prescription(
@@ -235,7 +232,13 @@ def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, 
     return lens, view
 
 
-def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...], vergence: float) -> LensFile:
+def derived(
+    source: Prescription,
+    changes: dict,
+    wavelengths: tuple[float, ...],
+    vergence: float,
+    focus: str | float | None = None,
+) -> LensFile:
     """Derive the specification of a lens without one from its prescription.
 
     Args:
@@ -243,6 +246,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
         changes: values of `Spec` that differ from it.
         wavelengths: wavelengths that replace those of the prescription; may be empty.
         vergence: 1 / distance of the object [1/mm].
+        focus: as in `read`.
 
     Raises:
         InputError: a value of `changes` is invalid, or the lens has no field, or an F-number without a focal length.
@@ -274,7 +278,7 @@ def derived(source: Prescription, changes: dict, wavelengths: tuple[float, ...],
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
         pixels = f"{view.pixel_pitch_um} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
-    lens, focus_remarks = _refocused(lens, view, source.object_distance_mm)
+    lens, focus_remarks = placed(lens, view, source.object_distance_mm, focus)
     return LensFile(source, lens, view, {}, (*remarks, *focus_remarks), own)
 
 

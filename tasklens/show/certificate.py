@@ -1,0 +1,114 @@
+"""Data sheet of one lens: first-order data, figures by field, aberrations by surface."""
+
+from collections.abc import Mapping, Sequence
+
+import pandas
+
+from tasklens.show.optimality import optimum
+from tasklens.show.publish import right_aligned
+
+# Columns of the table of fields: key in the figures of the lens file, heading, number of decimals.
+_FIELDS = (
+    ("angle_deg", "angle [deg]", 1),
+    ("valid_fraction", "valid", 3),
+    ("energy_in_window", "light in window", 3),
+    ("rms_centroid_um", "RMS, centroid [um]", 2),
+    ("rms_chief_ray_um", "RMS, chief ray [um]", 2),
+    ("rms_wavefront_waves", "RMS wavefront [waves]", 3),
+    ("core_radius_um", "EE50 [um]", 2),
+    ("radius_80_um", "EE80 [um]", 2),
+    ("mtf_tangential_quarter_nyquist", "MTF T 1/4", 3),
+    ("mtf_sagittal_quarter_nyquist", "MTF S 1/4", 3),
+    ("mtf_tangential_half_nyquist", "MTF T 1/2", 3),
+    ("mtf_sagittal_half_nyquist", "MTF S 1/2", 3),
+    ("distortion_percent", "distortion [%]", 2),
+    ("focus_tangential_um", "focus T [um]", 1),
+    ("focus_sagittal_um", "focus S [um]", 1),
+    ("relative_illumination", "rel. illum.", 3),
+)
+_SEIDEL = {
+    "spherical": "S_I",
+    "coma": "S_II",
+    "astigmatism": "S_III",
+    "petzval": "S_IV",
+    "distortion": "S_V",
+    "axial_colour": "C_I",
+    "lateral_colour": "C_II",
+}
+_NOTE = """\
+{rays} rays per field and colour; "valid" is the fraction that arrives. Light in the window, EE50, EE80 and MTF use the
+light that passes the clear apertures; EE50 and EE80 are the radii about the chief ray that encircle 50 % and 80 % of
+it. The RMS is of the rays that arrive. RMS wavefront: at the middle wavelength, about the best image point (without
+piston and tilt). The MTF is geometric, at {quarter:.0f} and {half:.0f} cycles/mm (1/4 and 1/2 of the sensor's Nyquist
+frequency); diffraction lowers it further, to zero at {cutoff:.0f} cycles/mm. T is along the field, S across it. Focus:
+of rays next to the chief ray, along z from the image plane. Aberrations: Seidel sums of the wavefront at the edge of
+the pupil and the largest field, at the middle wavelength; C_I and C_II from the longest to the shortest wavelength.
+Distortion, relative to chief rays near the axis, and relative illumination are at the middle wavelength."""
+
+
+def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapping[str, Sequence[float]]) -> str:
+    """Return the table of a lens as Markdown.
+
+    Args:
+        fields_mm: (X, Y) of each field [mm].
+        content: content of the lens file: `figures`, and `worst_margin` and `origin` if present.
+        by_surface: contributions of the surfaces to each Seidel sum [um], by name.
+    """
+    figures = content["figures"]
+    lens = pandas.DataFrame(_lens(content).items(), columns=["figure", "value"])
+    rows = {heading: [f"{value:.{digits}f}" for value in figures[key]] for key, heading, digits in _FIELDS}
+    points = {f"{axis} [mm]": [f"{point[i]:.2f}" for point in fields_mm] for i, axis in enumerate("xy")}
+    fields = pandas.DataFrame(points | rows).T.rename(columns=lambda field: str(field + 1))
+    fields = fields.rename_axis("field").reset_index()
+    columns = {_SEIDEL[key]: [*values, figures["seidel_um"][key]] for key, values in by_surface.items()}
+    surfaces = pandas.DataFrame(columns).map(lambda value: f"{value:.3f}")
+    surfaces.insert(0, "surface", [*map(str, range(len(surfaces) - 1)), "sum"])
+    nyquist = figures["nyquist_per_mm"]
+    note = _NOTE.format(
+        rays=figures["rays"], quarter=nyquist / 4, half=nyquist / 2, cutoff=figures["diffraction_cutoff_per_mm"]
+    )
+    parts = [
+        f"# {title}",
+        right_aligned(lens),
+        "## Fields",
+        right_aligned(fields),
+        "## Aberrations [um]",
+        right_aligned(surfaces),
+        note,
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _lens(content: Mapping) -> dict[str, str]:
+    figures = content["figures"]
+    rows = {
+        "focal length [mm]": f"{figures['efl_mm']:.4f}",
+        "back focal length [mm]": f"{figures['bfl_mm']:.4f}",
+        "image distance [mm]": f"{figures['image_distance_mm']:.4f}",
+        "track, first surface to image [mm]": f"{figures['track_mm']:.4f}",
+        "F-number": f"{figures['f_number']:.3f}",
+        "entrance pupil, from the first surface [mm]": f"{figures['entrance_pupil_z_mm']:.4f}",
+        "entrance pupil diameter [mm]": f"{figures['entrance_pupil_diameter_mm']:.4f}",
+        "exit pupil, from the last surface [mm]": f"{figures['exit_pupil_z_mm']:.4f}",
+        "exit pupil diameter [mm]": f"{figures['exit_pupil_diameter_mm']:.4f}",
+        "Airy radius [um]": f"{figures['airy_radius_um']:.2f}",
+        "diffraction cut-off [cycles/mm]": f"{figures['diffraction_cutoff_per_mm']:.0f}",
+    }
+    if "object_distance_mm" in figures:
+        rows |= {
+            "object, in front of the first surface [mm]": f"{figures['object_distance_mm']:g}",
+            "magnification": f"{figures['magnification']:.4g}",
+            "paraxial working F-number": f"{figures['working_f_number']:.3f}",
+        }
+    if "worst_margin" in content:
+        rows["worst margin"] = f"{content['worst_margin']['value']:.4f} ({content['worst_margin']['limit']})"
+    origin = content.get("origin", {})
+    if "assumptions" in origin:
+        rows["assumptions about the file"] = "; ".join(origin["assumptions"])
+    if "validation_loss" in origin:
+        rows["loss of this lens on the fixed images of its design"] = f"{origin['validation_loss']:.4f}"
+    if (test := optimum(content)) is not None:
+        images = f", on {test.images} images" if test.images else ""
+        rows[f"largest decrease of the loss by a small step within the limits{images}"] = str(test)
+    losses = origin.get("candidate_losses", {})
+    return rows | {f"loss of {name} as a candidate start": f"{loss:.4f}" for name, loss in losses.items()}

@@ -1,0 +1,143 @@
+"""Curves of a lens: ray fans, MTF and encircled energy."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from torch import Tensor
+
+from tasklens.optics.analysis.mtf import geometric_mtf, perfect_mtf
+from tasklens.optics.analysis.spots import RayFans
+from tasklens.optics.analysis.tail import encircled_energy
+from tasklens.optics.rays import Rays
+from tasklens.optics.view import View
+from tasklens.show.along_field import AlongField
+
+# In the order of a specification: red, green, blue.
+FIELD_COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of axis, middle and corner
+BY_WAVELENGTH = (
+    {"color": "#CC3311", "ls": "-"},
+    {"color": "#228833", "ls": "--"},
+    {"color": "#4477AA", "ls": ":"},
+)
+_MARKERS = ("o", "s", "^")  # of the drawn fields
+_FREQUENCIES = 41
+_RADII_UM = (0.5, 500.0)
+_SHIFTS = 31  # number of shifts of the image plane
+_DEPTH = 8  # largest shift, in pixel pitches times the F-number
+_SLOWEST = 1e3  # F-number; that of an afocal lens is infinite
+
+
+def ray_fans(
+    part: SubFigure | Figure, fans: RayFans, view: View, field_names: Mapping[int, str], half_um: float
+) -> None:
+    """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian.
+
+    Args:
+        half_um: largest error that is drawn.
+    """
+    all_axes = part.subplots(1, 2 * len(field_names), sharey=True, squeeze=False)[0]
+    for k, (field, name) in enumerate(field_names.items()):
+        for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
+            axes = all_axes[2 * k + i]
+            for w, (wavelength, style) in enumerate(zip(view.wavelengths_um, BY_WAVELENGTH, strict=False)):
+                axes.plot(fans.pupil, 1e3 * errors[field, w], lw=1, label=f"{1e3 * wavelength:.0f} nm", **style)
+            axes.set(xlim=(-1, 1), ylim=(-half_um, half_um), xticks=(-1, 0, 1))
+            axes.set_title(f"{name} {label}", fontsize=9)
+            axes.tick_params(labelsize=8)
+            axes.grid(lw=0.3)
+    all_axes[0].set_ylabel("transverse ray error [um]", fontsize=8)
+    part.supxlabel("pupil; T along the field, S across it", fontsize=8)
+    part.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncol=3, fontsize=8, frameon=False)
+
+
+def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, field_names: Mapping[int, str]) -> None:
+    """Draw the geometric MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens grey."""
+    nyquist, cutoff = figures["nyquist_per_mm"], figures["diffraction_cutoff_per_mm"]
+    frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
+    tangential, sagittal = geometric_mtf(rays, view.directions, frequencies.tolist())
+    for k, ((field, name), colour) in enumerate(zip(field_names.items(), FIELD_COLOURS, strict=False)):
+        marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
+        axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
+        axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
+    axes.plot(frequencies, perfect_mtf(frequencies, cutoff), color="grey", lw=1, ls=":", label="diffraction limit")
+    axes.set(xlim=(0, nyquist), ylim=(0, 1.02), xlabel="cycles/mm, up to Nyquist", title="geometric MTF")
+    _finish(axes)
+
+
+def encircled(axes: Axes, rays: Rays, centre: Tensor, view: View, field_names: Mapping[int, str]) -> None:
+    """Draw the share of the light within a radius of the chief ray's image point."""
+    low, high = (torch.tensor(radius).log10().item() for radius in _RADII_UM)
+    radii = torch.logspace(low, high, 81, dtype=torch.float64)
+    energy = encircled_energy(rays, centre, radii / 1e3)
+    for k, ((field, name), colour) in enumerate(zip(field_names.items(), FIELD_COLOURS, strict=False)):
+        axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
+    axes.axhline(0.5, color="grey", lw=0.6)
+    axes.axvline(view.pixel_pitch_um, color="grey", lw=1, ls=":", label="a pixel")
+    half = view.kernel_size * view.pixel_pitch_um / 2
+    axes.axvline(half, color="grey", lw=1, ls="--", label="PSF window")
+    axes.set(xscale="log", xlim=_RADII_UM, ylim=(0, 1.02))
+    axes.set(xlabel="radius about the chief ray [um]", title="encircled energy")
+    axes.xaxis.set_major_formatter("{x:g}")
+    _finish(axes)
+
+
+def mtf_by_field(axes: Axes, along: AlongField, frequency: float) -> None:
+    """Draw the geometric MTF at one frequency [cycles/mm] from the axis to the corner: solid T, dashed S."""
+    tangential, sagittal = geometric_mtf(along.rays, along.view.directions, [frequency])
+    axes.plot(along.angles, tangential[:, 0], color="black", lw=1, label="T")
+    axes.plot(along.angles, sagittal[:, 0], color="black", lw=1, ls="--", label="S")
+    axes.set(ylim=(0, 1.02), xlabel="field [degrees]", title=f"MTF at {frequency:.0f} cycles/mm")
+    _finish(axes)
+
+
+def mtf_by_focus(
+    axes: Axes,
+    rays: Rays,
+    view: View,
+    figures: Mapping,
+    frequency: float,
+    field_names: Mapping[int, str],
+) -> None:
+    """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
+    half = _DEPTH * view.pixel_pitch_um * min(abs(figures["f_number"]), _SLOWEST)
+    shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
+    for (field, name), colour in zip(field_names.items(), FIELD_COLOURS, strict=False):
+        values = []
+        for shift in (shifts / 1e3).tolist():
+            shifted_rays = replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
+            tangential, sagittal = geometric_mtf(shifted_rays, view.directions, [frequency])
+            values.append(float(tangential[field, 0] + sagittal[field, 0]) / 2)
+        axes.plot(shifts, values, color=colour, lw=1, label=name)
+    axes.set(
+        xlim=(-half, half), ylim=(0, 1.02), xlabel="image plane moved by [um]", title="MTF through focus, (T + S) / 2"
+    )
+    _finish(axes)
+
+
+def focus_by_field(axes: Axes, along: AlongField) -> None:
+    """Draw the tangential and sagittal focus of rays near the chief ray against the field."""
+    axes.plot(along.tangential, along.angles, color="black", lw=1, label="T")
+    axes.plot(along.sagittal, along.angles, color="black", lw=1, ls="--", label="S")
+    axes.set(xlabel="focus from the image plane [um]", ylabel="field [degrees]", title="field curvature")
+    _finish(axes)
+
+
+def distortion_by_field(axes: Axes, along: AlongField) -> None:
+    """Draw the distortion against the field."""
+    axes.plot(along.distortion, along.angles, color="black", lw=1)
+    axes.locator_params(axis="x", nbins=4)
+    axes.set(xlabel="distortion [%]", title="distortion")
+    _finish(axes)
+
+
+def _finish(axes: Axes) -> None:
+    axes.title.set_fontsize(9)
+    axes.xaxis.label.set_fontsize(8)
+    axes.tick_params(labelsize=8)
+    axes.grid(lw=0.3)
+    if axes.get_legend_handles_labels()[0]:
+        axes.legend(fontsize=7)

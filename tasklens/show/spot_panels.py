@@ -1,0 +1,97 @@
+"""Panels of spots and PSFs on the sensor, y upward, centred on the image point of the chief ray."""
+
+from collections.abc import Mapping
+
+import torch
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle
+from torch import Tensor
+
+from tasklens.optics.analysis.spots import spot_diagram
+from tasklens.optics.rays import Rays
+from tasklens.optics.view import View
+from tasklens.show.curves import BY_WAVELENGTH
+from tasklens.show.scale_bar import scale_bar
+
+_DRAWN = 700  # rays of a spot
+_DECADES = 4.0  # of the logarithmic PSFs
+_ROUND = (
+    Line2D([], [], marker="o", mfc="none", mec="black", ms=9, lw=0, label="core: 50 % about the chief ray"),
+    Line2D([], [], color="black", ls="--", lw=0.9, label="80 % about the chief ray"),
+)
+_LEAST_LABELLED = 5e-4  # smallest share of light that a label mentions
+
+
+def spots(
+    part: SubFigure | Figure,
+    rays: Rays,
+    centre: Tensor,
+    view: View,
+    figures: Mapping,
+    field_names: Mapping[int, str],
+    half_um: float,
+) -> None:
+    """Draw the spots of the fields `field_names`, with circles of 50 % and 80 % of the light about the chief ray.
+
+    Args:
+        rays: rays of all fields on the image plane.
+        centre: (F, 2) image points of the chief rays [mm].
+        half_um: half of the width that is drawn.
+    """
+    points = 1e3 * spot_diagram(rays, centre)[:, :, :_DRAWN]
+    for axes, (field, name) in zip(
+        part.subplots(1, len(field_names), squeeze=False)[0], field_names.items(), strict=True
+    ):
+        for w, (wavelength, style) in enumerate(zip(view.wavelengths_um, BY_WAVELENGTH, strict=False)):
+            x, y = points[field, w].unbind(-1)
+            axes.scatter(x, y, s=1.2, lw=0, color=style["color"], rasterized=True)
+            axes.plot([], [], "o", color=style["color"], ms=4, label=f"{1e3 * wavelength:.0f} nm")
+        circles = (
+            Circle((0, 0), figures["core_radius_um"][field], fill=False, lw=1.2),
+            Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.9),
+        )
+        for circle in circles:
+            if circle.radius < 1e3 * half_um:  # an infinite circle cannot be drawn
+                axes.add_patch(circle)
+        axes.plot(0, 0, "+", color="black", ms=5, lw=0, label="chief ray")
+        axes.set(xlim=(-half_um, half_um), ylim=(-half_um, half_um), aspect="equal", xticks=[], yticks=[])
+        scale_bar(axes, "um")
+        angle = figures["angle_deg"][field]
+        axes.set_title(f"{name}, {angle:.2g}°: core {_um(figures['core_radius_um'][field])}", fontsize=9)
+        radius = f"RMS {figures['rms_centroid_um'][field]:.1f} um"
+        axes.set_xlabel(f"{radius}\n{_outside(figures, field)}", fontsize=8)
+    handles = [*part.axes[-1].get_legend_handles_labels()[0], *_ROUND]
+    part.legend(handles=handles, loc="outside lower center", ncol=3, fontsize=8, frameon=False)
+
+
+def _um(value: float) -> str:
+    return f"{value:.1f} um" if value < 1e6 else "not reached"
+
+
+def _outside(figures: Mapping, field: int) -> str:
+    """Return the shares of the light outside the frame and lost in the lens, in words."""
+    outside = 1 - figures["energy_in_window"][field]
+    text = f"{outside:.1%} of the light outside" if outside >= _LEAST_LABELLED else "all light inside"
+    lost = 1 - figures["valid_fraction"][field]
+    return f"{text}, {lost:.1%} lost" if lost >= _LEAST_LABELLED else text
+
+
+def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mapping, narrowest_um: float) -> None:
+    """Draw the PSFs of all fields from axis to corner: square root above, four decades of the logarithm below."""
+    order = torch.argsort(view.radii, stable=True).tolist()
+    grid = part.subplots(2, len(order), squeeze=False)
+    half = view.kernel_size * view.pixel_pitch_um / 2
+    for column, field in enumerate(order):
+        shares = psf[field].permute(1, 2, 0) / psf[field].max().clamp(min=1e-30)
+        logarithm = (1 + shares.clamp(min=1e-30).log10() / _DECADES).clamp(0, 1)
+        for axes, image in zip(grid[:, column], (shares.clamp(0, 1).sqrt(), logarithm), strict=True):
+            axes.imshow(image.numpy(), origin="lower", extent=(-half, half, -half, half))
+            axes.set(xticks=[], yticks=[])
+        grid[0, column].set_title(f"{figures['angle_deg'][field]:.2g}°", fontsize=9)
+        inside = figures["energy_in_window"][field]
+        grid[1, column].set_xlabel("all inside" if 1 - inside < _LEAST_LABELLED else f"{inside:.1%} inside", fontsize=8)
+    for axes, label in zip(grid[:, 0], ("square root", f"{_DECADES:.0f} decades"), strict=True):
+        axes.set_ylabel(label, fontsize=8)
+    for axes in grid[:, -1]:
+        scale_bar(axes, "um", "white", narrowest_um)

@@ -1,0 +1,48 @@
+"""Certificate of a lens: figures, aberrations, limits, manufacturability and plots; and its Zemax file."""
+
+from dataclasses import replace
+from pathlib import Path
+
+from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
+from tasklens.optics.analysis.shapes import shapes
+from tasklens.optics.io import prescription
+from tasklens.optics.io import zemax as zemax_files
+from tasklens.optics.tolerancing.errors import errors
+from tasklens.optics.tolerancing.sensitivity import displacements
+from tasklens.runtime.files import write_text
+from tasklens.show import certificate, figures, manufacturability
+from tasklens.study.report_jobs import CertificateJob
+
+_RAYS = 256  # per field and colour, for sensitivities
+
+
+def run(
+    settings: CertificateJob,
+    lens: Path,
+    psf: Path,
+    page: Path,
+    zemax: Path,
+    catalogue: Path,
+    section: Path,
+    spots: Path,
+    psfs: Path,
+    curves: Path,
+) -> None:
+    """Write the page and the Zemax file, and draw the panels of the lens figure."""
+    lens_prescription, content = prescription.read(lens)
+    design = lens_prescription.lens
+    view = view_of(design, content, str(lens))
+    title = f"{settings.lens}, seed {settings.seed}"
+    text = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(design, view))
+    tolerances = errors(design, settings.grade)
+    displacements_um = displacements(design, view, tolerances, _RAYS).tolist()
+    errors_um = {error.name: um for error, um in zip(tolerances, displacements_um, strict=True)}
+    limits = manufacturability.markdown(
+        content["margins"], shapes(design), errors_um, settings.grade.name, view.pixel_pitch_um
+    )
+    write_text(page, f"{text}\n{limits}")
+    zemax_files.write(
+        zemax, replace(prescription.with_system_data(lens_prescription, view), title=settings.lens, aperture=None)
+    )
+    catalogue.touch()  # already written if the lens has a glass of its own
+    figures.draw_parts(figures.panel(settings.lens, lens, psf), section, spots, psfs, curves)

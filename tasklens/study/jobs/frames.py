@@ -1,0 +1,123 @@
+"""Figure of whole frames captured with task-driven lenses and the best imaging lens (the paper's figure 4)."""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from tasklens.camera.blend import capture
+from tasklens.camera.charts import resolution_chart
+from tasklens.camera.imaging import PsfCamera
+from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
+from tasklens.optics.analysis.datasheet import view_of
+from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.view import View
+from tasklens.recognition import dataset
+from tasklens.recognition.dataset import ImageDataset
+from tasklens.show import predictions
+from tasklens.study.jobs.comparison import compared
+from tasklens.study.report import frames
+from tasklens.study.report_jobs import FramesJob
+
+_SHAPE = 1080, 1920  # largest frame [pixels]
+_RULE = (
+    "Last rows: the first test image in file order that the network of {one} recognises halfway to the corner\nbut "
+    "that of {other} does not, and the first one vice versa, if there are any"
+)
+
+
+def run(
+    settings: FramesJob,
+    lenses: Sequence[Path],
+    psfs: Sequence[Path],
+    metrics: Sequence[Path],
+    test: Sequence[Path],
+    correct: Sequence[Path],
+    figure: Path,
+) -> None:
+    """Draw a chart and test images side by side as frames, and single captures on which two networks disagree.
+
+    The frames have no noise, quantisation or diffraction; the single captures have the settings of the study.
+
+    Args:
+        lenses, psfs, correct: files of the lenses in `settings.captures`, and predictions of the supervising
+            classifier.
+        metrics: measurements of `settings.comparison.baseline_keys`.
+    """
+    lens_of = dict(zip(settings.captures, lenses, strict=True))
+    names = compared(settings.comparison, metrics)
+    images = dataset.read(*test)
+    read = {lens: prescription.read(lens_of[lens]) for lens in names}
+    views = {lens: view_of(read[lens][0].lens, content, str(lens_of[lens])) for lens, (_, content) in read.items()}
+    shape = _frame_shape(views[names[0]])
+    sources = {"chart": resolution_chart(*shape), "test images": _tiled(images, shape)}
+    rows = {name: {"sharp": image} for name, image in sources.items()}
+    for lens, view in views.items():
+        design = read[lens][0].lens
+        pitch = pitch_on_sensor(design, view, shape)
+        sensor_psfs = trace_sensor_psfs(design, view, shape, pitch)
+        for name, image in sources.items():
+            rows[name][lens] = capture(image, sensor_psfs, settings.captures[lens].colour)
+    network = settings.comparison.claims[0].classifier
+    title = f"{shape[0]} x {shape[1]} pixels of {pitch:.2f} um fill the sensor; networks: {network}"
+    psf_of, correct_of = (dict(zip(settings.captures, paths, strict=True)) for paths in (psfs, correct))
+    by_lens = {lens: (psf_of[lens], correct_of[lens]) for lens in names}
+    disagreements = _disagreements(settings, by_lens, images)
+    frames.draw(figure, title, rows, disagreements, _RULE.format(one=names[0], other=names[-1]))
+
+
+def _frame_shape(view: View) -> tuple[int, int]:
+    """Return height and width of a frame: at most 1080 x 1920, and not more pixels than the sensor has."""
+    diagonal = 2e3 * float(view.radii.max()) / view.pixel_pitch_um
+    scale = min(1.0, diagonal / math.hypot(*_SHAPE))
+    return int(scale * _SHAPE[0]), int(scale * _SHAPE[1])
+
+
+def _tiled(test: ImageDataset, shape: tuple[int, int]) -> Tensor:
+    """Tile the first test images row by row into one frame (3, H, W); repeat them if there are too few."""
+    side = test.images.shape[-1]
+    rows, columns = (-(-n // side) for n in shape)
+    images, _ = test.batch(torch.arange(rows * columns) % len(test))
+    frame = images.unflatten(0, (rows, columns)).permute(2, 0, 3, 1, 4).flatten(1, 2).flatten(2, 3)
+    return frame[:, : shape[0], : shape[1]]
+
+
+def _disagreements(
+    settings: FramesJob, files: Mapping[str, tuple[Path, Path]], test: ImageDataset
+) -> list[frames.ClassifiedImage]:
+    """Return the first image that only the network of the first lens recognises, and the same for the last lens.
+
+    The list is shorter if there is no such image.
+
+    Args:
+        files: PSFs and predictions by lens.
+    """
+    lenses = list(files)
+    correct = {lens: predictions.read(path).iloc[:, settings.field] == 1 for lens, (_, path) in files.items()}
+    for lens in lenses[1:]:
+        predictions.same_images(correct[lenses[0]], correct[lens], f"{lenses[0]} and {lens}")
+    disagreements = []
+    for one, other in ((lenses[0], lenses[-1]), (lenses[-1], lenses[0])):
+        only = correct[one] & ~correct[other]
+        if not only.any():
+            continue
+        row = int(only.argmax())
+        image, label = only.index[row]
+        images, _ = test.batch(torch.tensor([int(image)]))
+        captures = {lens: _single(settings, lens, psf, images, int(image)) for lens, (psf, _) in files.items()}
+        answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
+        disagreements.append(
+            frames.ClassifiedImage(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers)
+        )
+    return disagreements
+
+
+def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor, number: int) -> Tensor:
+    """Return the capture (3, H, W) of one image, with its number in the split, at the field of `settings`."""
+    grid, light, turns = psf_files.read(psf, "grading")
+    k = number % turns
+    of_turn = (tensor.chunk(turns)[k][[settings.field]] for tensor in (grid, light))
+    camera = PsfCamera.of(settings.captures[lens], *of_turn)
+    return camera.all_fields(images, torch.Generator().manual_seed(0))[0, 0]

@@ -1,0 +1,57 @@
+"""The table of one ablation: accuracies of a design and its variants."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas
+
+from tasklens.show.publish import publish
+from tasklens.study.claims import AblationClaims
+from tasklens.study.report import answers_file, verdicts
+from tasklens.study.report.measurements import Measurements
+
+_NOTE = """\
+Study `{study}`. Difference: accuracy minus that of `{base}` [points], with its 95 % interval over test images{seeds}.
+With fewer than {least} seeds, differences are only suggested. A variant that changes the capture is measured with its
+own capture."""
+
+
+def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.DataFrame:
+    """Return a row for the base lens, then one per variant: accuracy, difference with interval, figures of the lens."""
+    claims = ablation.claims
+    differences = verdicts.collect(claims, measurements).set_index("lens")
+    classifier = claims.claims[0].classifier
+    rows = []
+    for lens in (ablation.base, *differences.index):
+        seed_values = [
+            measurements.values(lens, classifier, seed) | measurements.lens_values(lens, seed) for seed in claims.seeds
+        ]
+        measured = pandas.DataFrame(seed_values)
+        names = ("accuracy", "corner_accuracy", "accuracy_at_nine", "rms_spot_um", "core_radius_um", "energy_in_window")
+        columns = dict.fromkeys((name for name in names if name in measured), "mean")
+        rows.append({"lens": lens} | measured.agg(columns | {"worst_margin": "min"}).to_dict())
+    at_nine = [name for name in verdicts.AT_NINE if name in differences]
+    comparison = differences[["difference", "low", "high", *at_nine, "seeds", "verdict"]].reset_index()
+    return pandas.DataFrame(rows).merge(comparison, on="lens", how="left")
+
+
+def make(
+    ablation: AblationClaims,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    predictions: Sequence[Path],
+    csv: Path,
+    md: Path,
+    answers: Path,
+) -> None:
+    """Write the table as CSV and Markdown, and the answers from which its intervals can be recomputed."""
+    claims = ablation.claims
+    measurements = Measurements.of_claims(claims, lenses, metrics, predictions)
+    rows = collect(ablation, measurements)
+    answers_file.write(answers, claims, measurements)
+    note = _NOTE.format(
+        study=claims.study, base=ablation.base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS
+    )
+    publish(
+        csv, md, f"Ablation: {ablation.name}", rows, "\n".join([note, *verdicts.fitted_lenses(claims, measurements)])
+    )

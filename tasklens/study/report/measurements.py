@@ -1,0 +1,107 @@
+"""Measurements of a study, from its files of lenses, metrics and predictions; does not import torch."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pandas
+
+from tasklens.optics.io import lens_digest
+from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
+from tasklens.runtime.files import damaged, read_table, read_yaml
+from tasklens.show import predictions
+from tasklens.study.claims import Claim, Claims
+from tasklens.study.tables import LensKey, MeasuredKey
+
+FIELD = "accuracy_field"  # beginning of the columns of accuracy by field
+
+
+def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
+    """Return means over the sensor of RMS and core radius [um] and energy inside the window, and worst margin.
+
+    The worst margin is negative if the lens violates a limit of manufacturing [mm], focal length or distortion.
+    """
+    return {**content["means"], "worst_margin": content["worst_margin"]["value"]}
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Files of lenses, of metrics, predictions and frozen losses."""
+
+    lenses: Mapping[LensKey, Path]
+    metrics: Mapping[MeasuredKey, Path]
+    predictions: Mapping[MeasuredKey, Path] = field(default_factory=dict)
+    frozen: Mapping[MeasuredKey, Path] = field(default_factory=dict)
+
+    @classmethod
+    def of_claims(
+        cls, claims: Claims, lenses: Sequence[Path], metrics: Sequence[Path], predictions: Sequence[Path]
+    ) -> "Measurements":
+        """Return the measurements that claims compare, from files in the order of their keys."""
+        return cls(
+            dict(zip(claims.lens_keys, lenses, strict=True)),
+            dict(zip(claims.measured_keys, metrics, strict=True)),
+            dict(zip(claims.measured_keys, predictions, strict=True)),
+        )
+
+    def lens_file(self, lens: str, seed: int) -> dict[str, Any]:
+        """Read the content of a lens file; raises FileError if its figures are of another prescription."""
+        content = read_yaml(self.lenses[LensKey(lens, seed)])
+        lens_digest.check(content, self.lenses[LensKey(lens, seed)])
+        return content
+
+    def lens_values(self, lens: str, seed: int) -> dict[str, float]:
+        """Apply the function `lens_values` to a lens of the study."""
+        return lens_values(self.lens_file(lens, seed))
+
+    def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
+        """Return each metric, mean over fields."""
+        return mean_metrics(self.metrics[MeasuredKey(lens, classifier, seed)])
+
+    def accuracy_by_field(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
+        """Return the accuracy [%] at each field by the name of its column in tables by seed."""
+        values = accuracy_by_field(self.metrics[MeasuredKey(lens, classifier, seed)])
+        return {f"{FIELD}{k}": value for k, value in enumerate(values)}
+
+    def correct(self, lens: str, classifier: str, seed: int, fields: str = "field") -> pandas.DataFrame:
+        """Read predictions: 1 if an image is classified correctly, else 0; a row per image, a column per field."""
+        return predictions.read(self.predictions[MeasuredKey(lens, classifier, seed)], fields)
+
+    def has(self, fields: str, keys: Iterable[MeasuredKey]) -> bool:
+        """Return whether all of these were measured at a set of fields."""
+        headings = (self.predictions[key].open(encoding="utf-8").readline().split(",") for key in keys)
+        return all(any(name.startswith(fields) for name in names) for names in headings)
+
+    def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
+        """Return the loss of the frozen classifier for each minival image, mean over fields."""
+        return self._frozen(lens, classifier, seed).mean(axis=1)
+
+    def losses_by_field(self, lens: str, classifier: str, seed: int) -> pandas.Series:
+        """Return the loss of the frozen classifier at each field, mean over minival images."""
+        return self._frozen(lens, classifier, seed).mean()
+
+    def _frozen(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+        """Read the losses of the frozen classifier: a row per minival image, a column per field; raises FileError."""
+        path = self.frozen[MeasuredKey(lens, classifier, seed)]
+        frame = read_table(path, dtype={"label": str}, keep_default_na=False)
+        try:
+            losses = frame.set_index(["image", "label"]).astype(float)
+        except (KeyError, ValueError) as error:
+            raise damaged(path, f"no losses of images ({error})") from None
+        if losses.empty or losses.isna().any(axis=None):
+            raise damaged(path, "a loss is missing")
+        return losses
+
+    def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> float:
+        """Return the mean loss of the frozen classifier through a lens minus the least one through other lenses."""
+        own, *rest = (float(self.frozen_losses(name, classifier, seed).mean()) for name in (lens, *others))
+        return own - min(rest)
+
+    def strongest_baseline(self, claim: Claim, seed: int) -> str:
+        """Return the baseline of a claim with the best minival accuracy for this seed; "" without baselines.
+
+        The selection is per seed, as a designer selects the best of several designs.
+        """
+        accuracy = {name: self.values(name, claim.classifier, seed)["minival_accuracy"] for name in claim.baselines}
+        return max(accuracy, key=lambda name: accuracy[name], default="")

@@ -1,0 +1,175 @@
+"""Verification of a finished study: limits and optima of the lenses, and reproduced accuracies.
+
+All test images are classified again with the stored weights and the cached PSFs (stage `reproduce`, a job per
+measurement). The new predictions are compared with the predictions and metrics of fine-tuning, and with the tables.
+"""
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import product
+from pathlib import Path
+from typing import Any
+
+import pandas
+
+from tasklens.runtime.files import read_table
+from tasklens.settings import names
+from tasklens.settings.names import SHARP
+from tasklens.show import predictions
+from tasklens.show.optimality import optimum
+from tasklens.study.report.measurements import Measurements
+from tasklens.study.tables import MeasuredKey, TableContents, VerificationContents
+
+Reproduced = Mapping[MeasuredKey, Path]  # predictions
+
+ROUNDING = 1e-6  # tolerance on margins [mm or a fraction]
+DIFFERENT = 1e-3  # largest fraction of captures classified differently; on the same machine it is zero
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A failed check: lens, seed, limit, and the actual value."""
+
+    lens: str
+    seed: str
+    limit: str
+    value: str
+
+    def __str__(self) -> str:
+        return f"{self.lens} seed {self.seed}: {self.limit}: {self.value}"
+
+
+@dataclass(frozen=True)
+class Findings:
+    """Results: failures, violated limits of unconstrained lenses, and numbers of lenses and measurements."""
+
+    failures: list[Failure]
+    unconstrained: list[Failure]
+    lenses: int
+    measurements: int
+
+
+def verify(
+    contents: VerificationContents, measurements: Measurements, reproduced: Reproduced, tables: Mapping[str, Path]
+) -> Findings:
+    """Check every lens, measurement and table of a study; a failure does not stop the checks.
+
+    Args:
+        reproduced: files of the predictions reproduced with the stored weights.
+        tables: CSV files by name of the table.
+    """
+    failures: list[Failure] = []
+    unconstrained: list[Failure] = []
+    for lens, seed in product(contents.lenses, contents.seeds):
+        lens_failures = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
+        (failures if lens in contents.constrained else unconstrained).extend(lens_failures)
+        if lens in contents.supervised:
+            failures += _optimum_failures(lens, seed, measurements.lens_file(lens, seed))
+    accuracy = {}
+    for (lens, classifier), seed in product(contents.measured, contents.seeds):
+        correct = predictions.read(reproduced[MeasuredKey(lens, classifier, seed)])
+        accuracy[lens, classifier, seed] = sum(predictions.accuracy_by_field(correct)) / correct.shape[1]
+        failures += [
+            Failure(lens, str(seed), f"{classifier}: {what}", f"{share:.4f} of the captures differ")
+            for what, share in differences(correct, lens, classifier, seed, measurements).items()
+            if not share <= DIFFERENT
+        ]
+    for table in contents.tables:
+        failures += _table_failures(table, accuracy, tables[table.name])
+    return Findings(failures, unconstrained, len(contents.seeds) * len(contents.lenses), len(accuracy))
+
+
+def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], contents: VerificationContents) -> list[Failure]:
+    violations = violated_limits(content, contents.efl_mm[lens], contents.efl_tolerance)
+    failures = [Failure(lens, str(seed), limit, f"margin {value:.4g}") for limit, value in violations.items()]
+    if "diverged" in content.get("origin", {}):
+        failures.append(Failure(lens, str(seed), "diverged", content["origin"]["diverged"]))
+    return failures
+
+
+def _optimum_failures(lens: str, seed: int, content: Mapping[str, Any]) -> list[Failure]:
+    test = optimum(content)
+    if test is None or test.reached:
+        return []
+    return [Failure(lens, str(seed), "not converged: a step within the limits lowers the loss", str(test))]
+
+
+def violated_limits(content: Mapping[str, Any], efl_mm: float, efl_tolerance: float) -> dict[str, float]:
+    """Return negative margins [mm, or a fraction] by limit, from a lens file and for the specified EFL."""
+    worst = content["worst_margin"]
+    efl_error = abs(efl_mm / content["figures"]["efl_mm"] - 1)  # relative error of the power, as in designs
+    margins = [
+        *content["margins"].items(),
+        (worst["limit"], worst["value"]),
+        ("efl_tolerance", efl_tolerance - efl_error),
+    ]
+    return {limit: value for limit, value in margins if not value >= -ROUNDING}
+
+
+def differences(
+    reproduced: pandas.DataFrame, lens: str, classifier: str, seed: int, measurements: Measurements
+) -> dict[str, float]:
+    """Compute the fractions of captures for which stored files differ from the predictions `reproduced`.
+
+    Stored predictions are compared by capture, metrics by the absolute difference in accuracy, mean over fields.
+    """
+    stored = measurements.correct(lens, classifier, seed)
+    same_captures = stored.index.equals(reproduced.index) and stored.columns.equals(reproduced.columns)
+    rows = read_table(measurements.metrics[MeasuredKey(lens, classifier, seed)])
+    metrics = rows[rows["metric"] == "accuracy"].set_index("field")["value"].to_numpy()
+    by_field = pandas.Series(predictions.accuracy_by_field(reproduced)).sub(pandas.Series(metrics)).abs()
+    return {
+        "stored predictions": float((stored != reproduced).to_numpy().mean()) if same_captures else 1.0,
+        "metrics": float(by_field.mean(skipna=False) / 100),
+    }
+
+
+def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], path: Path) -> list[Failure]:
+    """Return failures for the rows of a table whose accuracy is not reproduced."""
+    failures = []
+    for row in read_table(path, keep_default_na=False).to_dict("records"):
+        sharp = row["elements"] == ""
+        lens = SHARP if sharp else f"{row['elements']}-{row['design']}"
+        classifier = row.get("classifier", contents.classifiers[0])
+        name = classifier if sharp else names.measured(classifier, contents.restored)
+        reproduced = sum(accuracy[lens, name, seed] for seed in contents.seeds) / len(contents.seeds)
+        if not abs(row["accuracy"] - reproduced) <= 100 * DIFFERENT:
+            value = f"{row['accuracy']:.2f} % in the table, {reproduced:.2f} % from the weights"
+            failures.append(Failure(lens, ", ".join(map(str, contents.seeds)), f"{name}: {contents.name}", value))
+    return failures
+
+
+def run(
+    settings: VerificationContents,
+    lenses: Sequence[Path],
+    metrics: Sequence[Path],
+    predictions: Sequence[Path],
+    reproduced: Sequence[Path],
+    tables: Sequence[Path],
+    verdicts: Path,
+) -> None:
+    """Print the verdicts and the results; exit with status 1 if there are failures.
+
+    Args:
+        lenses, metrics, predictions, reproduced: files of the keys of `settings`.
+        tables: CSV files of `settings.tables`.
+    """
+    files = (dict(zip(settings.measured_keys, paths, strict=True)) for paths in (metrics, predictions, reproduced))
+    metric_files, prediction_files, reproduced_files = files
+    measurements = Measurements(dict(zip(settings.lens_keys, lenses, strict=True)), metric_files, prediction_files)
+    table_names = (contents.name for contents in settings.tables)
+    findings = verify(settings, measurements, reproduced_files, dict(zip(table_names, tables, strict=True)))
+    print(verdicts.read_text(encoding="utf-8"))
+    print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet
+    if findings.failures:
+        print(f"failures, printed above: {len(findings.failures)}", file=sys.stderr)  # for the summary of the run
+        raise SystemExit(1)
+
+
+def summary(findings: Findings) -> str:
+    """Return a line per failure (`failed` or `unconstrained`), and a line with the numbers of checks."""
+    lines = [f"unconstrained: {failure}" for failure in findings.unconstrained]
+    lines += [f"failed: {failure}" for failure in findings.failures]
+    count = f"{findings.lenses} lenses and {findings.measurements} measurements: {len(findings.failures)} failures"
+    return "\n".join([*lines, f"Checked {count}."])
