@@ -160,6 +160,19 @@ def test_a_folder_one_level_too_high_is_refused(folder):
         user_images.test_images(Path(folder.name), 16, 10)
 
 
+def test_folders_inside_that_may_be_the_classes_are_mentioned(tmp_path, capsys):
+    """Two sets beside each other; photographs of one session in a folder of its own are no reason for a line."""
+    sets = tmp_path / "sets"
+    for place in ("dogs/beagle", "dogs/collie", "things/horn", "things/church"):
+        write(sets / place / "0.png", "")
+    assert folders.find(sets, None, 0).classes == ("dogs", "things")
+    words = "its 2 folders are the classes; if those inside are, such as beagle, give"
+    assert capsys.readouterr().err == f"tasklens: {sets}: {words} {sets}/dogs\n"
+    write(sets / "dogs" / "1.png", "")
+    folders.find(sets, None, 0)
+    assert capsys.readouterr().err == ""
+
+
 def test_links_are_followed(folder, tmp_path_factory):
     """Links to photographs, to folders in a class, and to a class; circles end, and no folder is read twice."""
     other = tmp_path_factory.mktemp("other")

@@ -8,7 +8,7 @@ import os
 import re
 import unicodedata
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -176,6 +176,20 @@ def passed_over(folder: Path, others: Counter[str]) -> str:
     """Return a line with the number of files that are not read, by kind; empty if there are none."""
     counts = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
     return counts and f"{folder}: passed over: {counts}"
+
+
+def folders_inside(split: Path, per_class: Iterable[Sequence[Path]]) -> str:
+    """Return a line if every class has all photographs in two folders or more inside, so that these may be the classes.
+
+    Args:
+        per_class: photographs of each class.
+    """
+    inside = [{file.parent for file in files} for files in per_class]
+    if any(len(folders) < 2 or any(folder.parent == split for folder in folders) for folders in inside):
+        return ""
+    example = min(inside[0])
+    words = f"its {len(inside)} folders are the classes; if those inside are, such as {example.name}"
+    return f"{split}: {words}, give {example.parent}"
 
 
 def _kind(name: str) -> str:
