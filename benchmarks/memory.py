@@ -15,9 +15,9 @@ import torch
 
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
@@ -40,10 +40,10 @@ def measure(captures: int, tiny: bool) -> dict[str, float]:
     problem = Problem(view_of_spec(spec), limits, 0, CaptureSettings(), dataset)
     steps = DescentSettings(steps=2, pixels=(2, 1))  # no validation before the second step
     settings = GradientDesignSettings(descents=[steps], batch_size=count, rays=256)
-    supervisor = Supervisor(TaskLoss(frozen(classifier, images)), problem, None, settings.augment, captures)
+    objective = Objective(TaskLoss(frozen(classifier, images)), problem, None, settings.augment, captures)
     before, begin = timing.peak_memory_gib(), time.process_time()
     plates = flat((builtin("COC"), builtin("OKP4")), spec, limits)
-    Descent(plates, supervisor, settings, steps, seed=0).step(1)
+    Descent(plates, objective, settings, steps, seed=0).step(1)
     return {"before": before, "peak": timing.peak_memory_gib(), "seconds": time.process_time() - begin}
 
 

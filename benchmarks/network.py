@@ -20,9 +20,9 @@ from torch import nn
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import Classifier, frozen
@@ -86,9 +86,9 @@ def design(network: nn.Module, count: int, size: int, rays: int, micro_batch: in
     problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
     steps = DescentSettings(steps=rounds + 2, pixels=(20, 19))  # no validation before the last step
     settings = GradientDesignSettings(descents=[steps], batch_size=count, rays=rays)
-    supervisor = Supervisor(TaskLoss(classifier), problem, None, augment=False, micro_batch=micro_batch)
+    objective = Objective(TaskLoss(classifier), problem, None, augment=False, micro_batch=micro_batch)
     plates, clock = flat((builtin("COC"), builtin("OKP4")), Spec(), Constraints()), Clock(device)
-    descent = Descent(plates, supervisor, settings, steps, seed=0)
+    descent = Descent(plates, objective, settings, steps, seed=0)
     for step in range(1, rounds + 2):
         descent.step(step)
         clock.due()

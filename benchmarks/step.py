@@ -2,7 +2,7 @@
 
 The benchmark times three steps: the default study's, and the paper's with MobileNetV2 and ResNet50 (random weights, 64
 images of 224 px at nine fields). For the paper's steps it times 2 images, and multiplies times proportional to the
-captures by 32. The parts are those of `design.supervision`; a second run with a trivial network gives the share of the
+captures by 32. The parts are those of `design.objective`; a second run with a trivial network gives the share of the
 network. The floor is the time of the network's operations at the speed of a large convolution.
 """
 
@@ -22,10 +22,10 @@ from torch.utils.flop_counter import FlopCounterMode
 from tasklens.design import least_squares
 from tasklens.design.constraints import penalty
 from tasklens.design.criteria import CaptureCriterion, TaskLoss
+from tasklens.design.objective import Objective, loss_at_psf
 from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.view import view_of_spec
@@ -76,12 +76,12 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     optimizer = AdamWOptimizer(lens, problem, DescentSettings(optimizer="adamw", steps=rounds + 1))
     captures = timed * len(problem.view_of_step(0).fields)
     ours, nothing = TaskLoss(frozen(network, dataset.images)), TaskLoss(Average())
-    supervisor = Supervisor(ours, problem, None, augment=False, micro_batch=captures)
+    objective = Objective(ours, problem, None, augment=False, micro_batch=captures)
     indices = torch.arange(timed)
 
     def at_psf(criterion: CaptureCriterion, grid: torch.Tensor) -> torch.Tensor:
-        images, labels = supervisor.images(indices, augment=False)
-        return loss_at_psf(criterion, images, labels, grid, supervisor.capture, captures)[1]
+        images, labels = objective.images(indices, augment=False)
+        return loss_at_psf(criterion, images, labels, grid, objective.capture, captures)[1]
 
     for step in range(rounds + 1):
         if step <= 1:
@@ -89,10 +89,10 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
         with clock("rays, PSFs, limits"):
             vector = optimizer.vector()
             lens = optimizer.lens(vector)
-            _, grid = supervisor.trace(lens, problem.view_of_step(step), sobol_disc(rays, step), 1.0)
+            _, grid = objective.trace(lens, problem.view_of_step(step), sobol_disc(rays, step), 1.0)
             bounds = penalty(lens, problem.limits, problem.view)
         with clock("augmentation"):
-            supervisor.images(indices, augment=True)
+            objective.images(indices, augment=True)
         with clock("captures and their backward"):
             at_psf(nothing, grid)
         with clock(NETWORK):

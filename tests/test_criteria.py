@@ -9,9 +9,9 @@ from designs import LIMITS, VIEW, problem
 from examples import by_descents, difference, f64, materials, random_images, rays_on_image
 
 from tasklens.design.criteria import Contrast, Correlation, ImageError, SpotRadius
+from tasklens.design.objective import Objective
 from tasklens.design.ray_space import as_saved
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
 from tasklens.fields import SELECTION
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition.tasks import Classification
@@ -62,11 +62,11 @@ def test_contrast_of_a_gaussian():
 def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
     """At PSFs of a lens, without images: the loss is linear in the PSFs, so finite differences are exact."""
     lens = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    supervisor = Supervisor(Contrast(), problem(), None, False, 1)
+    objective = Objective(Contrast(), problem(), None, False, 1)
     pupil = sobol_disc(64, 0)
 
     def loss(curvature):
-        return supervisor.loss(replace(lens, curvature=curvature), pupil, 20.0, None, seed=0)
+        return objective.loss(replace(lens, curvature=curvature), pupil, 20.0, None, seed=0)
 
     curved = lens.curvature + f64([0, 0.1, -0.1, 0.05, -0.1])
     result = loss(curved.requires_grad_())
@@ -79,7 +79,7 @@ def test_a_supervisor_gives_the_gradient_of_the_mean_contrast():
 @pytest.mark.parametrize("criterion", [Contrast(), SpotRadius(), ImageError(True)])
 def test_fields_are_weighted_up_to_the_corner(start, criterion):
     """The corner weighs four times as much as the axis, in steps and on fixed images; weights have mean 1."""
-    equal, weighted = (Supervisor(criterion, problem(), None, False, 36, corner_weight=w) for w in (1.0, 4.0))
+    equal, weighted = (Objective(criterion, problem(), None, False, 36, corner_weight=w) for w in (1.0, 4.0))
     weights = weighted.weights(VIEW)
     assert float(weights[-1] / weights[0]) == pytest.approx(4) and float(weights.mean()) == pytest.approx(1)
     assert torch.equal(equal.weights(VIEW), torch.ones_like(weights))
@@ -94,7 +94,7 @@ def test_fields_are_weighted_up_to_the_corner(start, criterion):
     expected = torch.zeros_like(fixed[1])  # a loss for each image: the mean over the fields of its turn
     for image, (fields, of_turn) in enumerate(zip(SELECTION, weights, strict=True)):
         for field, weight in zip(fields, of_turn.tolist(), strict=True):
-            alone = Supervisor(criterion, replace(problem(), fields=(field,)), None, False, 36)
+            alone = Objective(criterion, replace(problem(), fields=(field,)), None, False, 36)
             expected[image] += weight * alone.fixed_losses(start, 1.0, slice(4))[image] / len(fields)
     torch.testing.assert_close(fixed[1], expected, rtol=1e-4, atol=0)
 
@@ -112,9 +112,9 @@ def test_contrast_alone_makes_a_lens():
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast()
     lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
-    supervisor = Supervisor(contrast, problem(), None, False, 1)
+    objective = Objective(contrast, problem(), None, False, 1)
     saved = as_saved(lens, problem().view, LIMITS)
-    before, after = (supervisor.validation_loss(candidate, 10.0) for candidate in (plates, saved))
+    before, after = (objective.validation_loss(candidate, 10.0) for candidate in (plates, saved))
     assert after == pytest.approx(origin["validation_loss"], rel=1e-9) and after < 0.75 * before
 
 

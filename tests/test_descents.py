@@ -13,10 +13,10 @@ from tasklens.design import least_squares, methods
 from tasklens.design.constraints import incidence_penalty
 from tasklens.design.criteria import Contrast, ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.objective import Objective
 from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
 from tasklens.fields import PAPER
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
@@ -77,7 +77,7 @@ def test_first_steps_have_the_recorded_losses(settings, expected):
         criterion = JointTaskLoss(tiny_network(), 1e-2, 4, 0.1)
     design_problem = replace(problem(), seed=0, fields=PAPER)
     design = GradientDesignSettings(descents=[part], batch_size=4, rays=32)
-    descent = Descent(plates, Supervisor(criterion, design_problem, None, False, 36), design, part, seed=0)
+    descent = Descent(plates, Objective(criterion, design_problem, None, False, 36), design, part, seed=0)
     losses = []
     for step in range(1, 5):
         numbers, spots = descent.step(step)
@@ -263,9 +263,9 @@ def test_least_squares_stops_at_a_spot():
 
 def test_a_lens_far_outside_its_limits_is_the_best_only_if_all_are(start, monkeypatch):
     """Its loss is smaller, but its repair would change it; of two lenses far outside, the loss decides."""
-    supervisor = Supervisor(SpotRadius(), Problem(VIEW, LIMITS, 0), None, False, 1)
+    objective = Objective(SpotRadius(), Problem(VIEW, LIMITS, 0), None, False, 1)
     settings = GradientDesignSettings(descents=[{"steps": 3, "criterion": "spot"}])
-    descent = Descent(start, supervisor, settings, settings.descents[0], 0)
+    descent = Descent(start, objective, settings, settings.descents[0], 0)
     validations = iter([(0.3, 1.0), (0.2, 1.0), (0.9, 0.0), (0.1, 1.0)])  # loss and violation [mm]
 
     def validate() -> tuple[bool, float]:

@@ -14,8 +14,8 @@ from tasklens.camera.imaging import PsfCamera
 from tasklens.design import methods
 from tasklens.design.criteria import ImageError, TaskLoss
 from tasklens.design.descent import divergence
+from tasklens.design.objective import Objective, loss_at_psf
 from tasklens.design.problem import Problem
-from tasklens.design.supervision import Supervisor, loss_at_psf
 from tasklens.design.variables import Variables
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
@@ -99,9 +99,9 @@ def test_a_design_may_see_smaller_images(start):
     dataset = random_images(4, 32, 3, seed=0)
     indices = torch.tensor([2, 0])
     sharp = Problem(VIEW, LIMITS, 0, CaptureSettings(), dataset)
-    whole, labels = Supervisor(TaskLoss(tiny_network()), sharp, None, False, 1).images(indices, augment=False)
+    whole, labels = Objective(TaskLoss(tiny_network()), sharp, None, False, 1).images(indices, augment=False)
     assert torch.equal(whole, dataset.images[indices].float() / 255) and torch.equal(labels, dataset.labels[indices])
-    small, _ = Supervisor(TaskLoss(tiny_network()), sharp, 16, False, 1).images(indices, augment=False)
+    small, _ = Objective(TaskLoss(tiny_network()), sharp, 16, False, 1).images(indices, augment=False)
     assert small.shape == (2, 3, 16, 16)
     means = (images.double().mean((1, 2, 3)) for images in (small, whole))
     torch.testing.assert_close(*means, rtol=0, atol=2.0 / 255)

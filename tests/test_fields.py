@@ -20,9 +20,9 @@ from tasklens.camera.sensor import noise
 from tasklens.design.constraints import all_margins, limit_margins, worst_margin
 from tasklens.design.criteria import Contrast, SpotRadius, TaskLoss
 from tasklens.design.merit import limit_semi_diameters
+from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
-from tasklens.design.supervision import Supervisor
 from tasklens.fields import CELLS, CORNER, GRADING, GRADING_CENTRES, PAPER, SELECTION, Points, cell_centres
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters, evaluation_psf
@@ -400,8 +400,8 @@ def test_each_step_sees_other_fields(start, criterion):
     """Drawn by the seed of the step; a list is the same in all of them, and in validation."""
 
     def losses(posed: Problem, seed: int):
-        supervisor = Supervisor(criterion, posed, None, False, 36)
-        return supervisor.loss(start, sobol_disc(32, 0), 10.0, torch.arange(2), seed)
+        objective = Objective(criterion, posed, None, False, 36)
+        return objective.loss(start, sobol_disc(32, 0), 10.0, torch.arange(2), seed)
 
     drawn, fixed = problem(), replace(problem(), fields=OWN)
     first, again, other = (losses(drawn, seed) for seed in (0, 0, 1))

@@ -14,8 +14,8 @@ from restoration import training as restoration
 from tasklens import api
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design.criteria import JointTaskLoss, TaskLoss
+from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
-from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.recognition import evaluation, training
 from tasklens.recognition.classifiers import frozen
@@ -72,12 +72,12 @@ def design(device, start) -> list[float]:
 def supervision(device, start) -> list[float]:
     """Losses of a lens by a frozen network, and their gradient at the PSFs."""
     problem = Problem(VIEW, LIMITS, 1, CaptureSettings(), data(device))
-    supervisor = Supervisor(TaskLoss(frozen(small_network(0), data(device).images).to(device)), problem, None, False, 7)
+    objective = Objective(TaskLoss(frozen(small_network(0), data(device).images).to(device)), problem, None, False, 7)
     curvature = start.curvature.clone().requires_grad_()
-    loss = supervisor.loss(replace(start, curvature=curvature), sobol_disc(64, seed=0), 2.0, torch.arange(4), seed=0)
+    loss = objective.loss(replace(start, curvature=curvature), sobol_disc(64, seed=0), 2.0, torch.arange(4), seed=0)
     (gradient,) = torch.autograd.grad(loss.value, curvature)
     assert loss.fields.device == gradient.device == CPU and gradient.dtype == curvature.dtype
-    return [*loss.fields.tolist(), *gradient.tolist(), supervisor.validation_loss(start, 2.0)]
+    return [*loss.fields.tolist(), *gradient.tolist(), objective.validation_loss(start, 2.0)]
 
 
 def without_mode(function):

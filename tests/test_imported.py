@@ -22,8 +22,8 @@ from reference_files import reference_files
 
 from tasklens.design import methods
 from tasklens.design.criteria import TaskLoss
+from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
-from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.focus import refocused, shifted
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -153,10 +153,10 @@ def test_the_network_sets_the_focus_of_a_scaled_lens(tmp_path):
     settings = settings_of(tmp_path, shifted(cooke_triplet(), 1.5), focus=None, kernel_size=31)
     lens, notes, *_ = methods.design(settings, network, images, {}, {})
     problem = Problem(VIEW_31, settings.constraints, settings.seed, settings.capture, images)
-    supervisor = Supervisor(TaskLoss(network), problem, None, False, 36, "chief_ray")
+    objective = Objective(TaskLoss(network), problem, None, False, 36, "chief_ray")
     given = fit_lens(tmp_path, shifted(cooke_triplet(), 1.5))[0]
     own, peak, file = (
-        float(supervisor.fixed_losses(each, 1.0, slice(24)).mean()) for each in (lens, refocused(given, VIEW_31), given)
+        float(objective.fixed_losses(each, 1.0, slice(24)).mean()) for each in (lens, refocused(given, VIEW_31), given)
     )
     assert own <= peak < file
     assert notes["origin"]["focus"] == "network"

@@ -104,9 +104,9 @@ def test_a_study_without_restored_captures_has_no_table_of_them():
 
 def test_captures_of_a_study_of_restored_captures_alone():
     """Images are chosen by the answers that this study has."""
-    chosen = CapturesJob.of(parse(tiny_study() | {"tables": ["table4"]})).supervised
+    chosen = CapturesJob.of(parse(tiny_study() | {"tables": ["table4"]})).chosen_by
     assert chosen[SHARP] == "small" and chosen["singlet-imaging1"] == "small-restored"
-    assert set(CapturesJob.of(parse(tiny_study())).supervised.values()) == {"small"}
+    assert set(CapturesJob.of(parse(tiny_study())).chosen_by.values()) == {"small"}
 
 
 def test_psfs_of_an_imported_lens_fit_the_images():

@@ -8,10 +8,10 @@ from designs import LIMITS, VIEW, problem
 from examples import by_descents, materials
 
 from tasklens.design.criteria import Contrast, ImageError, SpotRadius
+from tasklens.design.objective import Objective
 from tasklens.design.optimum import local_optimum
 from tasklens.design.ray_space import RaySpace, repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
 from tasklens.fields import PAPER
 from tasklens.optics.apertures import with_clear_apertures
 from tasklens.settings.design_settings import DescentSettings
@@ -44,8 +44,8 @@ def feasible(spot_lens):
 
 
 def examine(lens, target) -> Optimum:
-    supervisor = Supervisor(Bowl(target), replace(problem(), fields=PAPER), None, False, 36)
-    return Optimum(**local_optimum(lens, supervisor, PART))
+    objective = Objective(Bowl(target), replace(problem(), fields=PAPER), None, False, 36)
+    return Optimum(**local_optimum(lens, objective, PART))
 
 
 def test_the_bottom_of_a_bowl_is_an_optimum(feasible):
@@ -68,37 +68,37 @@ def test_a_lens_on_the_slope_of_a_bowl_is_none(feasible):
 def test_a_descent_that_was_cut_short_has_not_converged():
     """By the spot, a lens after few steps from flat plates is far from its optimum; after many more steps it is not."""
     posed = replace(problem(), seed=0)
-    supervisor, gains = Supervisor(SpotRadius(), posed, None, False, 36), []
+    objective, gains = Objective(SpotRadius(), posed, None, False, 36), []
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     for steps in (5, 250):
         part = DescentSettings(steps=steps, criterion="spot", pixels=(10, 1), duration=0.7, final=0.02)
         lens, _, _ = by_descents(plates, lambda part: SpotRadius(), posed, part, rays=64)
         finished = with_clear_apertures(*repair(lens, VIEW, LIMITS))
-        gains.append(Optimum(**local_optimum(finished, supervisor, part)).gain)
+        gains.append(Optimum(**local_optimum(finished, objective, part)).gain)
     assert gains[0] > 0.002 and gains[1] < 0.02 * gains[0]  # [mm]
 
 
 def test_a_design_by_contrast_needs_no_images(feasible):
     """Its test of the optimum, too; built lenses of a toleranced design differ in it."""
     without = replace(problem(), dataset=None, capture=None)
-    supervisor = Supervisor(Contrast(), without, None, False, 36)
-    result = local_optimum(feasible, supervisor, PART)
-    with_images = local_optimum(feasible, replace(supervisor, problem=problem()), PART)
+    objective = Objective(Contrast(), without, None, False, 36)
+    result = local_optimum(feasible, objective, PART)
+    with_images = local_optimum(feasible, replace(objective, problem=problem()), PART)
     assert result["gain"] == pytest.approx(with_images["gain"], rel=1e-9) and result["images"] == 0
-    built = replace(supervisor, grade=Grade.model_validate("precision_moulding"))
+    built = replace(objective, grade=Grade.model_validate("precision_moulding"))
     assert local_optimum(feasible, built, PART)["gain"] != result["gain"]
 
 
 def test_steps_are_compared_on_other_images_than_those_of_the_gradient(feasible, monkeypatch):
     """One half of the selection images gives the gradient, the other half judges every step."""
-    calls, images = [], Supervisor.images
+    calls, images = [], Objective.images
 
     def recorded(self, indices, augment):
         calls.append(set(indices.tolist()))
         return images(self, indices, augment)
 
-    monkeypatch.setattr(Supervisor, "images", recorded)
-    local_optimum(feasible, Supervisor(ImageError(False), problem(), None, False, 36), PART)
+    monkeypatch.setattr(Objective, "images", recorded)
+    local_optimum(feasible, Objective(ImageError(False), problem(), None, False, 36), PART)
     of_gradient, *turns = calls
     of_steps = [set().union(*turns[k : k + 4]) for k in range(0, len(turns), 4)]  # images take four sets of fields
     assert len(of_steps) == 1 + 3 + 4 and all(judging == of_steps[0] for judging in of_steps)

@@ -14,12 +14,12 @@ from torch.utils.data import DataLoader, Subset
 
 import tasklens
 from tasklens.api.verdict import verdict
-from tasklens.design import supervision
+from tasklens.design import objective
 from tasklens.design.criteria import TaskLoss
+from tasklens.design.objective import loss_at_psf
 from tasklens.design.request import LensRequest
 from tasklens.design.single import BASELINES, designs
-from tasklens.design.supervision import loss_at_psf
-from tasklens.design.supervisors import UserTask
+from tasklens.design.supervision import UserTask
 from tasklens.recognition import classifiers, user_images
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
@@ -191,7 +191,7 @@ def test_images_are_not_augmented_with_a_loss(images, network, monkeypatch):
     def refused(*_):
         raise AssertionError
 
-    monkeypatch.setattr(supervision, "TrivialAugmentWide", refused)
+    monkeypatch.setattr(objective, "TrivialAugmentWide", refused)
     settings = {"descents": {"0": {"steps": 1}}, "batch_size": 2}
     options = {"images": images, "network": network, "loss": cross_entropy, "start": tasklens.load_lens(LENS)}
     tasklens.design_lens("end_to_end", settings=settings, **options)

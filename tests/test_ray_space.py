@@ -17,10 +17,10 @@ from tasklens.design.constraints import (
 )
 from tasklens.design.criteria import SpotRadius
 from tasklens.design.descent import Descent
+from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, as_saved, repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_rays, clear_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.apertures import with_open_apertures
@@ -76,16 +76,16 @@ def test_lenses_are_validated_as_they_are_saved(spot_lens):
     margin = float(manufacturing_margins(spot_lens, LIMITS, clear_semi_diameters(spot_lens, VIEW))["max_slope"].min())
     limits = LIMITS.model_copy(update={"max_slope": LIMITS.max_slope - margin - 0.02})
     part = DescentSettings(steps=1, criterion="spot")
-    supervisor = Supervisor(SpotRadius(), Problem(VIEW, limits, 0), None, False, 36)
-    descent = Descent(spot_lens, supervisor, GradientDesignSettings(descents=[part], rays=32), part, seed=0)
+    objective = Objective(SpotRadius(), Problem(VIEW, limits, 0), None, False, 36)
+    descent = Descent(spot_lens, objective, GradientDesignSettings(descents=[part], rays=32), part, seed=0)
     numbers, _ = descent.step(1)
     saved = as_saved(spot_lens, VIEW, limits)
     assert worst_margin(limit_margins(spot_lens, limits, VIEW, clear_semi_diameters(spot_lens, VIEW)))[1] < -0.01
     assert worst_margin(limit_margins(saved, limits, VIEW, saved.semi_diameter))[1] >= 0
     last = numbers["validation_loss"]  # that of the last step; the best of both is kept
     far, least = descent.least
-    assert not far and least == pytest.approx(min(last, supervisor.validation_loss(saved, 1.0)), rel=5e-3)
-    assert supervisor.validation_loss(spot_lens, 1.0) != pytest.approx(supervisor.validation_loss(saved, 1.0), rel=1e-3)
+    assert not far and least == pytest.approx(min(last, objective.validation_loss(saved, 1.0)), rel=5e-3)
+    assert objective.validation_loss(spot_lens, 1.0) != pytest.approx(objective.validation_loss(saved, 1.0), rel=1e-3)
 
 
 def test_a_lens_is_brought_back_within_its_limits(spot_lens):

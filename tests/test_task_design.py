@@ -16,9 +16,9 @@ from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.objective import SELECTION, VALIDATION, Objective, loss_at_psf
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
-from tasklens.design.supervision import SELECTION, VALIDATION, Supervisor, loss_at_psf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields
 from tasklens.optics.io import prescription
@@ -54,7 +54,7 @@ def test_the_restart_with_the_least_loss_is_refined(start, monkeypatch):
         evaluated_lenses.append(lens)
         return next(losses, 0.0)
 
-    monkeypatch.setattr(Supervisor, "validation_loss", validation_loss)
+    monkeypatch.setattr(Objective, "validation_loss", validation_loss)
     coarse = DescentSettings(steps=3, pixels=(21, 20), lenses=3)
     nothing = DescentSettings(steps=1, pixels=(20, 20), step_size=1e-9)
     lens, _ = task_design(tiny_network(), start, NO_LIMITS, (coarse, nothing))
@@ -91,7 +91,7 @@ def test_a_descent_returns_its_best_lens(start, pixels, step_size):
 def test_several_restarts_are_refined(start, monkeypatch):
     """The two of three restarts with the least loss are refined, and the better result is the lens."""
     losses = iter([2.0, 1.0, 3.0, 0.5, 0.7, 0.1])  # restarts, refinements, finish
-    monkeypatch.setattr(Supervisor, "validation_loss", lambda self, lens, pixels: next(losses))
+    monkeypatch.setattr(Objective, "validation_loss", lambda self, lens, pixels: next(losses))
     parts = [DescentSettings(steps=1, pixels=(20, 19), duration=1.0, lenses=count) for count in (3, 2, 1)]
     _, _, history = by_descents(start, image_error, problem(NO_LIMITS), *parts)
     rows = [(row["phase"], row["validation_loss"]) for row in history]
@@ -122,7 +122,7 @@ def test_the_best_candidate_is_the_start(spot_lens):
 def test_a_finish_that_is_worse_on_other_images_is_not_kept(start, monkeypatch, finished, kept):
     """Losses from a list: plates 2, sharp 1, then the finished lens; the lens file has the loss of its own lens."""
     losses = iter([2.0, 1.0, finished])
-    monkeypatch.setattr(Supervisor, "selection_loss", lambda self, lens, pixels: next(losses))
+    monkeypatch.setattr(Objective, "selection_loss", lambda self, lens, pixels: next(losses))
     finish = DescentSettings(steps=2, pixels=(5, 5), step_size=1.0, criterion="log_image_error")
     sharp, plates = start, replace(start, curvature=0 * start.curvature)
     candidates = {"plates": plates, "sharp": sharp}
@@ -151,7 +151,7 @@ def test_a_lens_file_names_a_divergence_that_led_to_it(start, monkeypatch, fails
     parts = [DescentSettings(steps=1, pixels=(20, 20), lenses=lenses) for lenses in (2, 1)]
     if fails_at == 5:  # of a finish that is worse than its start
         losses = iter([1.0, 2.0])
-        monkeypatch.setattr(Supervisor, "selection_loss", lambda self, lens, pixels: next(losses))
+        monkeypatch.setattr(Objective, "selection_loss", lambda self, lens, pixels: next(losses))
         failing = Failing(1)
         parts = [DescentSettings(steps=2, pixels=(20, 20))]
         _, origin, _ = by_descents(start, lambda p: failing, problem(), *parts, candidates={"start": start})
@@ -165,11 +165,11 @@ def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
     """Selection uses the repaired lens with clear apertures, which can cost more than the descent has gained."""
     evaluated_lenses = []
 
-    def selection_loss(supervisor, lens, pixels):
+    def selection_loss(objective, lens, pixels):
         evaluated_lenses.append(lens)
         return 1.0
 
-    monkeypatch.setattr(Supervisor, "selection_loss", selection_loss)
+    monkeypatch.setattr(Objective, "selection_loss", selection_loss)
     finish = DescentSettings(steps=1, pixels=(5, 5), step_size=0.1, criterion="log_image_error")
     margins = manufacturing_margins(start, LIMITS, clear_semi_diameters(start, VIEW))
     least = LIMITS.min_centre_thickness + float(margins["min_centre_thickness"].min()) + 0.05  # violated by 0.05 mm
@@ -185,18 +185,18 @@ def test_a_finish_is_judged_as_its_file_will_have_it(start, monkeypatch):
 def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
     """Validation uses 48 of 300 images, selection 192 others, the same ones each time; of 1000 steps use the rest."""
     batches = []
-    supervisor = Supervisor(ImageError(True), replace(problem(), dataset=random_images(300, 16, 3, 0)), None, False, 36)
-    images = Supervisor.images
+    objective = Objective(ImageError(True), replace(problem(), dataset=random_images(300, 16, 3, 0)), None, False, 36)
+    images = Objective.images
     monkeypatch.setattr(
-        Supervisor, "images", lambda self, indices, augment: batches.append(indices) or images(self, indices, augment)
+        Objective, "images", lambda self, indices, augment: batches.append(indices) or images(self, indices, augment)
     )
-    for loss in (supervisor.validation_loss, supervisor.selection_loss) * 2:
+    for loss in (objective.validation_loss, objective.selection_loss) * 2:
         loss(start, 1.0)
     assert [len(indices) for indices in batches] == [*4 * [12], *4 * [48]] * 2  # in four turns
     first, second = torch.cat(batches[:8]), torch.cat(batches[8:])
     assert torch.equal(first, second) and len(first.unique()) == 240
-    assert supervisor.batch_images().tolist() == list(range(300))  # too few to leave some out
-    many = replace(supervisor, problem=replace(problem(), dataset=random_images(1000, 8, 3, 0)))
+    assert objective.batch_images().tolist() == list(range(300))  # too few to leave some out
+    many = replace(objective, problem=replace(problem(), dataset=random_images(1000, 8, 3, 0)))
     fixed = [{*many.fixed_images(part).tolist()} for part in (VALIDATION, SELECTION)]
     assert {*many.batch_images().tolist()} == {*range(1000)} - fixed[0] - fixed[1]
     part = DescentSettings(steps=6)
@@ -209,7 +209,7 @@ def test_the_noise_of_fixed_images_is_the_same_in_any_micro_batches(start):
     """Successive images have different noise."""
     posed = replace(problem(), capture=CaptureSettings(sensor=SensorSettings(gain=16)))
     losses = [
-        Supervisor(ImageError(False), posed, None, False, at_once).validation_loss(start, 1.0)
+        Objective(ImageError(False), posed, None, False, at_once).validation_loss(start, 1.0)
         for at_once in (9, 45, 108)
     ]
     assert losses == pytest.approx(3 * losses[:1], rel=1e-6)
@@ -223,8 +223,8 @@ def test_distortion_costs_nothing_about_the_chief_ray(start):
     pupil = 0.01 * sobol_disc(16, 0)  # a narrow stop, so that plates make points
     energies = {}
     for centre in ("pinhole", "chief_ray"):
-        supervisor = Supervisor(ImageError(True), problem(), None, False, 12, centre)
-        energies[centre] = supervisor.trace(stretched, view, pupil, 1.0)[1].sum((-2, -1)).mean(-1)
+        objective = Objective(ImageError(True), problem(), None, False, 12, centre)
+        energies[centre] = objective.trace(stretched, view, pupil, 1.0)[1].sum((-2, -1)).mean(-1)
     outer = view.radii > 20e-3 * view.kernel_size * view.pixel_pitch_um
     assert outer.any() and (energies["chief_ray"] > 0.999).all() and (energies["pinhole"][outer] < 0.001).all()
 

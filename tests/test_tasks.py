@@ -15,7 +15,7 @@ from rules import finish, job_of
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss
-from tasklens.design.supervision import Supervisor
+from tasklens.design.objective import Objective
 from tasklens.materials.catalogues import PLASTICS
 from tasklens.optics.io import prescription
 from tasklens.recognition import object_scenes, object_splits, objects, task_networks, training
@@ -130,7 +130,7 @@ def test_a_detector_judges_a_lens_alike_each_time(start):
     dataset = data(4)
     network = task_networks.frozen(task_networks.build("a", settings(BOXES), 10, 32))
     loss = TaskLoss(network, Detection(dataset, OUTPUTS, with_masks=False))
-    judge = Supervisor(loss, replace(problem(), dataset=dataset.as_images()), None, False, 9)
+    judge = Objective(loss, replace(problem(), dataset=dataset.as_images()), None, False, 9)
     before = torch.get_rng_state()
     first = judge.validation_loss(start, 1.0)
     assert torch.equal(torch.get_rng_state(), before)

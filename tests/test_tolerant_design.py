@@ -8,9 +8,9 @@ import torch
 from designs import problem, task_design, tiny_network
 from examples import f64
 
-from tasklens.design import supervision
+from tasklens.design import objective
 from tasklens.design.criteria import Contrast, TaskLoss
-from tasklens.design.supervision import Supervisor
+from tasklens.design.objective import Objective
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
@@ -19,18 +19,18 @@ from tasklens.settings.tolerance_settings import Grade
 PHONE, COMMERCIAL = map(Grade.model_validate, ("phone_moulding", "commercial_moulding"))
 
 
-def supervisor(grade: Grade | None, criterion=None) -> Supervisor:
-    return Supervisor(criterion or Contrast(), problem(), None, False, 1, "chief_ray", grade)
+def objective_of(grade: Grade | None, criterion=None) -> Objective:
+    return Objective(criterion or Contrast(), problem(), None, False, 1, "chief_ray", grade)
 
 
 def test_without_a_grade_the_design_itself_is_evaluated(start):
-    assert supervisor(None).as_built(start, 3, 8) == [start]
+    assert objective_of(None).as_built(start, 3, 8) == [start]
 
 
 def test_built_lenses_are_drawn_anew(spot_lens):
     """The seed sets the errors of each lens; each is focused; the design itself does not change."""
-    first, second = supervisor(COMMERCIAL).as_built(spot_lens, 3, 2)
-    (again,), (other,) = (supervisor(COMMERCIAL).as_built(spot_lens, seed) for seed in (3, 4))
+    first, second = objective_of(COMMERCIAL).as_built(spot_lens, 3, 2)
+    (again,), (other,) = (objective_of(COMMERCIAL).as_built(spot_lens, seed) for seed in (3, 4))
     assert torch.equal(first.thickness, again.thickness) and torch.equal(first.pose.position, again.pose.position)
     for one in (second, other):
         assert not torch.equal(first.thickness[:-1], one.thickness[:-1])
@@ -45,7 +45,7 @@ def test_a_built_lens_carries_the_gradient_of_the_design(spot_lens):
     Both sides of a difference are focused: the image plane moves with the design.
     """
     without_form = PHONE.model_copy(update={"irregularity_fringes": 0.0})  # its height depends on the aperture
-    criterion, pupil = supervisor(without_form), sobol_disc(16, seed=0)
+    criterion, pupil = objective_of(without_form), sobol_disc(16, seed=0)
 
     def points(curvature: torch.Tensor, thickness: torch.Tensor) -> torch.Tensor:
         (built_lens,) = criterion.as_built(replace(spot_lens, curvature=curvature, thickness=thickness), 1)
@@ -63,19 +63,19 @@ def test_a_built_lens_carries_the_gradient_of_the_design(spot_lens):
 
 def test_validation_is_of_built_lenses(spot_lens):
     """Validation is the mean of eight built lenses; a study reports others."""
-    criterion = supervisor(COMMERCIAL)
-    every = criterion.as_built(spot_lens, problem().seed + supervision._VALIDATION_SEED, 8)
-    expected = sum(supervisor(None).validation_loss(built_lens, 1.0) for built_lens in every) / 8
+    criterion = objective_of(COMMERCIAL)
+    every = criterion.as_built(spot_lens, problem().seed + objective._VALIDATION_SEED, 8)
+    expected = sum(objective_of(None).validation_loss(built_lens, 1.0) for built_lens in every) / 8
     assert criterion.validation_loss(spot_lens, 1.0) == pytest.approx(expected, rel=1e-12)
-    assert criterion.validation_loss(spot_lens, 1.0) != supervisor(None).validation_loss(spot_lens, 1.0)
+    assert criterion.validation_loss(spot_lens, 1.0) != objective_of(None).validation_loss(spot_lens, 1.0)
 
 
 def test_built_lenses_have_the_illumination_of_the_design(spot_lens, monkeypatch):
     """It is traced by symmetry, which a decentred lens lacks; at four sets of fields, and once in a step."""
     lenses = []
-    monkeypatch.setattr(supervision, "relative_illumination", lambda lens, *_: lenses.append(lens) or f64([1.0] * 9))
+    monkeypatch.setattr(objective, "relative_illumination", lambda lens, *_: lenses.append(lens) or f64([1.0] * 9))
     lit = replace(problem(), capture=CaptureSettings(sensor=SensorSettings()))
-    criterion = Supervisor(TaskLoss(tiny_network()), lit, None, False, 72, "chief_ray", COMMERCIAL)
+    criterion = Objective(TaskLoss(tiny_network()), lit, None, False, 72, "chief_ray", COMMERCIAL)
     assert math.isfinite(criterion.validation_loss(spot_lens, 1.0))
     (built_lens,) = criterion.as_built(spot_lens, 3)
     criterion.loss(built_lens, sobol_disc(16, seed=0), 1.0, torch.arange(2), 0, design=spot_lens)
@@ -93,7 +93,7 @@ def test_a_design_for_built_lenses_is_another(start):
 
 
 def test_a_classifier_supervises_built_lenses_too(start):
-    criterion, curvature = supervisor(COMMERCIAL, TaskLoss(tiny_network())), start.curvature.clone().requires_grad_()
+    criterion, curvature = objective_of(COMMERCIAL, TaskLoss(tiny_network())), start.curvature.clone().requires_grad_()
     (built_lens,) = criterion.as_built(replace(start, curvature=curvature), 5)
     loss = criterion.loss(built_lens, sobol_disc(32, 0), 20.0, torch.arange(2), 0)
     (gradient,) = torch.autograd.grad(loss.value, curvature)

@@ -174,7 +174,7 @@ def test_a_supervised_lens_that_is_no_local_optimum_is_named(study):
 
 def test_which_lenses_must_be_local_optima():
     """Constrained lenses designed by captures or PSFs: neither by spots, nor by least squares, nor imported ones."""
-    lenses = tables.verification(parse(with_imported())).supervised
+    lenses = tables.verification(parse(with_imported())).with_optimum
     assert lenses == ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")
 
 

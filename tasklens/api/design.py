@@ -9,7 +9,7 @@ from torch import nn
 
 from tasklens.design.request import LensRequest, Specification
 from tasklens.design.single import designs
-from tasklens.design.supervisors import Loss
+from tasklens.design.supervision import Loss
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError

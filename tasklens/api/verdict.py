@@ -23,15 +23,15 @@ def verdict(designs: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
     Returns:
         The verdict as text, and the ranking of all lenses.
     """
-    supervisors = designs.supervisors
-    assert supervisors.network is not None and supervisors.images is not None  # the design has a network
+    supervision = designs.supervision
+    assert supervision.network is not None and supervision.images is not None  # the design has a network
     *_, name = designs.lenses
     lenses = {design: (lens, designs.view) for design, lens in designs.lenses.items()}
-    order = torch.randperm(len(supervisors.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
-    of_the_design = on_sharp_images(supervisors.network, supervisors.images.take(order))
+    order = torch.randperm(len(supervision.images), generator=torch.Generator().manual_seed(1))[:_CHOICE]
+    of_the_design = on_sharp_images(supervision.network, supervision.images.take(order))
     chosen = {other: predictions(of_the_design, *lenses[other], SELECTION, other)[0] for other in BASELINES}
     best = max(chosen, key=lambda other: chosen[other].to_numpy().mean())
-    ranking = measured(lenses, on_sharp_images(supervisors.network, unused))
+    ranking = measured(lenses, on_sharp_images(supervision.network, unused))
     task, baseline = (100 * ranking.correct[design].mean(axis=1).to_numpy() for design in (name, best))
     low, high = interval(resampled_means((task - baseline)[:, None])[:, 0])
     gain = float((task - baseline).mean())

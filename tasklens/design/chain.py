@@ -10,7 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.design import methods
-from tasklens.design.supervisors import Supervisors, supervisors
+from tasklens.design.supervision import Supervision, supervision
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import window_remark
@@ -26,7 +26,7 @@ class Designs:
 
     Attributes:
         notes: notes for its file.
-        supervisors: images and network of the design.
+        supervision: images and network of the design.
         prescription: the lens with the data of its file; those of `start` stay.
         trained: the network, if it was trained with the lens.
     """
@@ -34,7 +34,7 @@ class Designs:
     lenses: Mapping[str, Lens]
     view: View
     notes: dict[str, Any]
-    supervisors: Supervisors
+    supervision: Supervision
     prescription: Prescription
     trained: nn.Module | None
 
@@ -60,7 +60,7 @@ class Designs:
 
 
 def design(
-    plans: Mapping[str, LensDesign], images: ImageSettings, user: Supervisors, given: Mapping[str, Lens]
+    plans: Mapping[str, LensDesign], images: ImageSettings, user: Supervision, given: Mapping[str, Lens]
 ) -> Designs:
     """Design lenses in order; each may start from those before it, and from `given` lenses.
 
@@ -71,7 +71,7 @@ def design(
 
     Raises:
         InputError: a design starts from the most accurate of several lenses, whose accuracies nobody has measured; or
-            `supervisors` raises it.
+            `supervision` raises it.
     """
     for plan in plans.values():
         if len(plan.starts) > 1:
@@ -81,18 +81,18 @@ def design(
             )
     lenses, names = {**given}, {name: name for name in given}
     with tempfile.TemporaryDirectory() as folder:
-        supervision = supervisors(list(plans.values()), images, Path(folder), user)
+        shared = supervision(list(plans.values()), images, Path(folder), user)
         for name, plan in plans.items():
             names[name] = plan.entry.design_name
             lenses[name], notes, _, trained = methods.design(
                 plan,
-                supervision.network if plan.entry.classified else None,
-                supervision.images if plan.entry.reads_images else None,
+                shared.network if plan.entry.by_network else None,
+                shared.images if plan.entry.reads_images else None,
                 {other: (lenses[other], 0.0) for other in plan.starts},
                 {other: lenses[other] for other in plan.candidates},
-                task=supervision.task if plan.entry.classified else None,
+                task=shared.task if plan.entry.by_network else None,
             )
     view = view_of_spec(plan.spec)
     prescription = with_system_data(Prescription(lenses[name]), view)
     by_design = {names[name]: lens for name, lens in lenses.items()}
-    return Designs(by_design, view, notes, supervision, prescription, trained)
+    return Designs(by_design, view, notes, shared, prescription, trained)

@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tasklens.design.objective import Objective
 from tasklens.design.optimizers import LEEWAY_MM, OPTIMIZERS
 from tasklens.design.problem import History
 from tasklens.design.ray_space import as_saved
 from tasklens.design.schedule import geometric
-from tasklens.design.supervision import Supervisor
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields_full
 from tasklens.optics.lens import Lens
@@ -55,20 +55,20 @@ class Descent:
     def __init__(
         self,
         start: Lens,
-        supervisor: Supervisor,
+        objective: Objective,
         design: GradientDesignSettings,
         settings: DescentSettings,
         seed: int,
     ):
-        self.supervisor, self.settings, self.rays, self.seed = supervisor, settings, design.rays, seed
-        self.optimizer = OPTIMIZERS[settings.optimizer](start, supervisor.problem, settings)
+        self.objective, self.settings, self.rays, self.seed = objective, settings, design.rays, seed
+        self.optimizer = OPTIMIZERS[settings.optimizer](start, objective.problem, settings)
         self.best = self.optimizer.vector().detach()
         self.least = True, math.inf
         self.failures = 0  # validations since the best lens
         batch = settings.batch_size or design.batch_size
         self.images = self.order = None
-        if supervisor.problem.dataset is not None:
-            self.images = supervisor.batch_images()
+        if objective.problem.dataset is not None:
+            self.images = objective.batch_images()
             self.order = Shuffled(len(self.images), batch, torch.Generator().manual_seed(seed))
 
     def step(self, step: int) -> tuple[dict[str, float], Tensor]:
@@ -80,7 +80,7 @@ class Descent:
         Raises:
             Diverged: the loss or the change is not finite.
         """
-        settings, supervisor, optimizer = self.settings, self.supervisor, self.optimizer
+        settings, objective, optimizer = self.settings, self.objective, self.optimizer
         indices = None if self.images is None or self.order is None else self.images[self.order.next()]
         fraction = (step - 1) / settings.steps
         first, last = settings.pixels
@@ -91,14 +91,14 @@ class Descent:
             numbers["validation_loss"] = self._validate()
         vector = optimizer.vector()
         design = optimizer.lens(vector)
-        (built_lens,) = supervisor.as_built(design, self.seed + step)
+        (built_lens,) = objective.as_built(design, self.seed + step)
         lens, pupil = built_lens.with_stop_scaled(stop), sobol_disc(self.rays, self.seed + step)
-        loss = supervisor.loss(lens, pupil, pixels, indices, self.seed + step, design)
-        scaled_loss = loss.value / stop if supervisor.criterion.scales_with_stop else loss.value
+        loss = objective.loss(lens, pupil, pixels, indices, self.seed + step, design)
+        scaled_loss = loss.value / stop if objective.criterion.scales_with_stop else loss.value
         change = optimizer.change(vector, design, scaled_loss, fraction, pixels)
         if not (torch.isfinite(loss.fields).all() and torch.isfinite(change).all()):
             raise divergence(lens, loss.view, pupil, loss.fields)
-        supervisor.criterion.train_step()
+        objective.criterion.train_step()
         numbers |= {"loss": loss.fields.mean().item(), "worst_field": loss.fields.max().item()}
         if loss.energy is not None:
             numbers["energy_in_window"] = loss.energy
@@ -115,7 +115,7 @@ class Descent:
         vector, violation = self.optimizer.vector().detach().clone(), self.optimizer.violation()
         far = not violation <= LEEWAY_MM  # also if it is not a number
         loss = self._validation_loss(vector, far)
-        if self.supervisor.criterion.trained and math.isfinite(self.least[1]):
+        if self.objective.criterion.trained and math.isfinite(self.least[1]):
             self.least = self.least[0], self._validation_loss(self.best, self.least[0])
         score = far, loss
         if math.isfinite(loss + violation) and score <= self.least:  # a NaN lens has a finite loss
@@ -129,10 +129,10 @@ class Descent:
 
     def _validation_loss(self, vector: Tensor, far: bool) -> float:
         """Compute the loss of a lens as it is saved: 0.01 mm beyond a limit can be worth more than a descent gains."""
-        lens, problem = self.optimizer.lens(vector).detached(), self.supervisor.problem
+        lens, problem = self.optimizer.lens(vector).detached(), self.objective.problem
         if not far:
             lens = as_saved(lens, problem.view, problem.limits, problem.free)
-        return self.supervisor.validation_loss(lens, self.settings.pixels[1])
+        return self.objective.validation_loss(lens, self.settings.pixels[1])
 
     def state(self) -> dict[str, Any]:
         """Return the best variables, and the count of validations."""
@@ -140,14 +140,14 @@ class Descent:
 
     def result(self) -> dict[str, Any]:
         """Return the state after the last step and that of a trained network, for the test of the optimum."""
-        network = self.supervisor.criterion.holders.get("network")
+        network = self.objective.criterion.holders.get("network")
         return self.state() | ({} if network is None else {"network": network.state_dict()})
 
     def resume(self, state: dict[str, Any]) -> None:
         """Resume from `state`, or from `result`."""
         for name, value in state.items():
             if name == "network":
-                self.supervisor.criterion.holders[name].load_state_dict(value)
+                self.objective.criterion.holders[name].load_state_dict(value)
             else:
                 setattr(self, name, value)
 
@@ -167,7 +167,7 @@ def run(descent: Descent, label: str, checkpoint: Checkpoint) -> tuple[Lens, His
         The best lens, and a row per logged step: phase, step, the step's numbers, mean RMS spot [um].
     """
     steps = descent.settings.steps
-    holders = {"optimizer": descent.optimizer, **descent.supervisor.criterion.holders}
+    holders = {"optimizer": descent.optimizer, **descent.objective.criterion.holders}
     if descent.order is not None:
         holders["order"] = descent.order
     part = checkpoint.part(label, **holders)

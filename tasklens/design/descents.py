@@ -19,9 +19,9 @@ import torch
 
 from tasklens.design.criteria import Criterion
 from tasklens.design.descent import Descent, run
+from tasklens.design.objective import Objective
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import as_saved
-from tasklens.design.supervision import Supervisor
 from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
@@ -31,10 +31,10 @@ _JUDGED = ("criterion", "temperature", "corner_weight")  # settings by which two
 
 @dataclass(frozen=True)
 class _Result:
-    """A lens with its `Descent.least`, its supervisor, and the labels of the descents that led to it."""
+    """A lens with its `Descent.least`, its objective, and the labels of the descents that led to it."""
 
     lens: Lens
-    supervisor: Supervisor | None = None
+    objective: Objective | None = None
     least: tuple[bool, float] = (False, 0.0)
     labels: tuple[str, ...] = ()
 
@@ -43,13 +43,13 @@ def _ranked(
     results: Sequence[_Result],
     part: DescentSettings,
     following: DescentSettings,
-    supervisor: Callable[[DescentSettings], Supervisor],
+    objective: Callable[[DescentSettings], Objective],
 ) -> list[_Result]:
     """Sort the results of a descent, the best first: by its own validation, or by the criterion that follows it."""
     same = all(getattr(part, key) == getattr(following, key) for key in _JUDGED)
     if same or len(results) == 1:
         return sorted(results, key=lambda result: result.least)
-    judge = supervisor(following)
+    judge = objective(following)
     losses = [judge.validation_loss(result.lens, following.pixels[0]) for result in results]
     order = sorted(range(len(results)), key=lambda i: (results[i].least[0], losses[i]))
     return [results[i] for i in order]
@@ -62,7 +62,7 @@ def design(
     problem: Problem,
     settings: GradientDesignSettings,
     checkpoint: Checkpoint = NO_CHECKPOINT,
-) -> tuple[Lens, dict[str, Any], History, Supervisor]:
+) -> tuple[Lens, dict[str, Any], History, Objective]:
     """Design a lens by the descents of `settings`.
 
     Args:
@@ -71,7 +71,7 @@ def design(
         criterion: function that returns the criterion of a descent.
 
     Returns:
-        The lens, its origin, the history of all descents, and the supervisor of the last descent. The lens is the
+        The lens, its origin, the history of all descents, and the objective of the last descent. The lens is the
         result of the last descent, or its starting candidate if that is better by a criterion that is not trained. The
         origin holds the loss of the lens, the losses of all candidates on the same images, the starting candidate as
         `start`, whether the lens is the result (`finished`), and the step at which it `diverged`.
@@ -80,23 +80,23 @@ def design(
     generator = torch.Generator().manual_seed(problem.seed)
     history: History = []
 
-    def supervisor(part: DescentSettings) -> Supervisor:
+    def objective(part: DescentSettings) -> Objective:
         measure = criterion(part)
         micro_batch = settings.micro_batch
         if measure.trained or settings.batch_norm == "batch":  # batch norms use the statistics of the whole step
             fields = len(problem.view_of_step(0).fields)
             micro_batch = (part.batch_size or settings.batch_size) * fields
         options = part.size, settings.augment, micro_batch, part.centre, settings.grade, part.corner_weight
-        return Supervisor(measure, problem, *options)
+        return Objective(measure, problem, *options)
 
-    def selection_loss(selector: Supervisor, lens: Lens) -> float:
+    def selection_loss(selector: Objective, lens: Lens) -> float:
         saved = as_saved(lens, problem.view, problem.limits, problem.free)
         return selector.selection_loss(saved, settings.descents[-1].pixels[1])
 
     origin: dict[str, Any] = {}
     losses: dict[str, float] = {}
     if candidates:
-        selector = supervisor(settings.descents[-1])
+        selector = objective(settings.descents[-1])
         losses = {name: selection_loss(selector, lens) for name, lens in candidates.items()}
         best_candidate = min(losses, key=lambda name: losses[name])
         start, origin["start"] = candidates[best_candidate], best_candidate
@@ -107,17 +107,17 @@ def design(
         for i, parent in enumerate(lenses[: part.lenses], 1):
             label = f"descent {k}" if part.lenses == 1 else f"descent {k}, lens {i} of {part.lenses}"
             seed = int(torch.randint(2**31, (), generator=generator))
-            descent = Descent(parent.lens, supervisor(part), settings, part, seed)  # a trained network starts afresh
+            descent = Descent(parent.lens, objective(part), settings, part, seed)  # a trained network starts afresh
             lens, rows = run(descent, label, checkpoint)
             history += rows
-            results.append(_Result(lens, descent.supervisor, descent.least, (*parent.labels, label)))
+            results.append(_Result(lens, descent.objective, descent.least, (*parent.labels, label)))
         following = settings.descents[k] if k < len(settings.descents) else part
-        lenses = _ranked(results, part, following, supervisor)
+        lenses = _ranked(results, part, following, objective)
     best = lenses[0]
-    assert best.supervisor is not None  # there is a descent
-    lens, loss, labels, trained = best.lens, best.least[1], best.labels, best.supervisor.criterion.trained
+    assert best.objective is not None  # there is a descent
+    lens, loss, labels, trained = best.lens, best.least[1], best.labels, best.objective.criterion.trained
     if losses and not trained:
-        loss = selection_loss(best.supervisor, lens)
+        loss = selection_loss(best.objective, lens)
         history.append({"phase": "finished", "validation_loss": loss})
         origin["finished"] = loss <= losses[best_candidate]
         if not origin["finished"]:
@@ -130,4 +130,4 @@ def design(
         origin["validation_loss"] = loss
     if losses:
         origin["candidate_losses"] = losses
-    return lens, origin, history, best.supervisor
+    return lens, origin, history, best.objective

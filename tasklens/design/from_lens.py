@@ -12,7 +12,7 @@ from tasklens.design import chain
 from tasklens.design.chain import Designs
 from tasklens.design.constraints import BUFFER, buffer_scale, limit_margins
 from tasklens.design.merit import limit_semi_diameters
-from tasklens.design.supervisors import OF_SETTINGS, Supervisors
+from tasklens.design.supervision import OF_SETTINGS, Supervision
 from tasklens.design.variables import ORDERS
 from tasklens.materials.material import AIR
 from tasklens.optics.analysis.paraxial import check_focal_length, paraxial
@@ -58,7 +58,7 @@ def design(
     images: Mapping[str, Any] | None,
     classifier: Mapping[str, Any] | None,
     seed: int,
-    user: Supervisors = OF_SETTINGS,
+    user: Supervision = OF_SETTINGS,
     baselines: Sequence[str] = (),
     remark: Callable[[str], None] = warnings.warn,
 ) -> Designs:

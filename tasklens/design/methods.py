@@ -110,15 +110,15 @@ def design(
             candidates = {best: starts[best][0]}
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
     with nullcontext() if plan.entry.reads_images else single_thread():  # without images all tensors are small
-        lens, details, history, supervisor = descents.design(start, prepared, criterion, problem, settings, checkpoint)
+        lens, details, history, objective = descents.design(start, prepared, criterion, problem, settings, checkpoint)
         origin |= details
         repaired = repair(lens, view, plan.constraints, free)
         keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none
         final_lens, notes = with_notes(*repaired, plan, origin, keep_apertures)
         network = None
-        if plan.entry.supervised:
-            notes["local_optimum"] = local_optimum(final_lens, supervisor, settings.descents[-1])
-            network = supervisor.criterion.network if isinstance(supervisor.criterion, JointTaskLoss) else None
+        if plan.entry.by_psfs:
+            notes["local_optimum"] = local_optimum(final_lens, objective, settings.descents[-1])
+            network = objective.criterion.network if isinstance(objective.criterion, JointTaskLoss) else None
     return final_lens, notes, history, network
 
 

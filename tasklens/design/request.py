@@ -7,7 +7,7 @@ from typing import Any, TypedDict
 
 from torch import nn
 
-from tasklens.design.supervisors import Loss
+from tasklens.design.supervision import Loss
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 

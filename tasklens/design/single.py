@@ -11,7 +11,7 @@ from typing import Any
 from tasklens.design import chain, from_lens
 from tasklens.design.chain import Designs
 from tasklens.design.request import LensRequest
-from tasklens.design.supervisors import Supervisors, UserTask
+from tasklens.design.supervision import Supervision, UserTask
 from tasklens.materials.library import user_files
 from tasklens.optics.analysis.datasheet import spec_of
 from tasklens.optics.analysis.paraxial import paraxial
@@ -57,7 +57,7 @@ def designs(
         settings = {"augment": False, **settings}
     images, dataset = _images(request.images, request.size, held_out)
     classifier, module = (request.network, None) if isinstance(request.network, Mapping) else (None, request.network)
-    user = Supervisors(dataset, module, None if request.loss is None else UserTask(request.loss))
+    user = Supervision(dataset, module, None if request.loss is None else UserTask(request.loss))
     catalogues = as_paths(request.catalogues, "catalogues")
     if start is not None:
         for key, value in {"elements": request.elements, **spec}.items():

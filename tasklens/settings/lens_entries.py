@@ -96,8 +96,8 @@ class LensEntry(Frozen):
         return self.design.start if isinstance(self.design, GradientDesignSettings) else None
 
     @property
-    def classified(self) -> bool:
-        """True if a network supervises the design: a classifier, or that of another task."""
+    def by_network(self) -> bool:
+        """True if the loss of a network guides the design: of a classifier, or for another task."""
         return any(descent.criterion == "task" for descent in self.descents)
 
     @property
@@ -106,9 +106,9 @@ class LensEntry(Frozen):
         return isinstance(self.design, GradientDesignSettings) and self.design.end_to_end
 
     @property
-    def task_driven(self) -> bool:
-        """True if the design is by a classifier, frozen or trained jointly, but not end-to-end as in the paper."""
-        return self.classified and not self.end_to_end and not self.other_task
+    def by_task(self) -> bool:
+        """True if the supervisor of the study guides the design, frozen or trained jointly, but not end-to-end."""
+        return self.by_network and not self.end_to_end and not self.other_task
 
     @property
     def other_task(self) -> str | None:
@@ -116,7 +116,7 @@ class LensEntry(Frozen):
         return self.design.task if isinstance(self.design, GradientDesignSettings) else None
 
     @property
-    def supervised(self) -> bool:
+    def by_psfs(self) -> bool:
         """True if a descent minimises a loss of captures or PSFs."""
         return any(descent.criterion != "spot" for descent in self.descents)
 
@@ -139,7 +139,7 @@ class LensEntry(Frozen):
         """
         if isinstance(self.design, ImportedLens):
             return False
-        may_fail = self.end_to_end or (self.classified and self.descents[0].optimizer == "adamw")
+        may_fail = self.end_to_end or (self.by_network and self.descents[0].optimizer == "adamw")
         return not (may_fail and self.start == "flat")
 
 

@@ -81,7 +81,7 @@ class LensSettings(Frozen):
             spec=self.spec,
             constraints=self.constraints,
             capture=CaptureSettings() if entry.reads_images else None,
-            classifier=self.network if entry.classified else None,
+            classifier=self.network if entry.by_network else None,
             task=None,
             network=None,
             starts=accurate,
@@ -153,10 +153,10 @@ def lens_settings(
         others = {criterion: _with_criterion(criterion, last) for criterion in baselines}
         result = _validated(content | {"designs": designs | others | {method: last}})
     entries = [plan.entry for plan in result.plans(0).values()]
-    given, classified = classifier is not None or network_given, any(entry.classified for entry in entries)
-    if classified and not given:
+    given, guided = classifier is not None or network_given, any(entry.by_network for entry in entries)
+    if guided and not given:
         raise InputError(f"method {method}: needs a network: --network NAME --weights FILE, in Python `network`")
-    if given and not classified:
+    if given and not guided:
         raise InputError(f"method {method}: has no network; choose task, joint or end_to_end, or give no network")
     if images is not None and not any(entry.reads_images for entry in entries):
         raise InputError(f"method {method}: has no images; choose another method, or give no images")

@@ -83,7 +83,7 @@ def built(study: Study) -> BuiltContents:
         (lens.name, other.name)
         for lens in lenses
         for other in lenses
-        if lens.task_driven and not other.classified and lens.elements == other.elements
+        if lens.by_task and not other.by_network and lens.elements == other.elements
     )
     return BuiltContents(
         study=study.name,

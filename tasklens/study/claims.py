@@ -138,7 +138,7 @@ def regime_claims(study: Study) -> Claims:
             study, "table1", OVER_IMAGING, lens.name, [f"{lens.elements}-{n}" for n in imaging_designs(study.designs)]
         )
         for lens in study.lenses.values()
-        if lens.task_driven and imaging_designs(study.designs)
+        if lens.by_task and imaging_designs(study.designs)
     ]
     return Claims(study=study.name, claims=tuple(comparisons), seeds=study.seeds)
 
@@ -180,7 +180,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """
     rows = []
     for lens in study.lenses.values():
-        if lens.task_driven:
+        if lens.by_task:
             imaging = [
                 other
                 for other in study.lenses.values()
@@ -193,7 +193,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             baselines: dict[str, list[LensEntry]] = {
                 OVER_IMAGING1: [other for other in same if other.design_name == IMAGING1],
                 OVER_LEAST_SQUARES: [other for other in same if isinstance(other.design, LeastSquaresSettings)],
-                OVER_IMAGE_QUALITY: [other for other in same if other.supervised],
+                OVER_IMAGE_QUALITY: [other for other in same if other.by_psfs],
                 FEWER_ELEMENTS: [other for other in imaging if len(other.plastics) == more],
                 OVER_START: [study.lens(name) for name in starts(study, lens.name)],
             }
@@ -205,7 +205,7 @@ def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
     """Return (text, lens, baselines) of the claims about end-to-end design, from imaging and from flat."""
     comparisons: list[tuple[str, str, tuple[str, ...]]] = []
     for lens in study.lenses.values():
-        if lens.task_driven:
+        if lens.by_task:
             same = [other for other in study.lenses.values() if other.elements == lens.elements]
             comparisons += [
                 (OVER_END_TO_END, lens.name, (other.name,))

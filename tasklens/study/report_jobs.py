@@ -100,14 +100,14 @@ class CapturesJob(Frozen):
     Attributes:
         captures: settings of captures by lens.
         measured: (lens, measured name) of the networks.
-        supervised: measured names of the supervisor by lens (or SHARP), whose predictions choose the images.
+        chosen_by: measured names of the supervisor by lens (or SHARP), whose predictions choose the images.
     """
 
     captures: dict[str, CaptureSettings]
     restoration: RestorationSettings | None
     classifiers: dict[str, ClassifierSettings]
     measured: tuple[tuple[str, str], ...]
-    supervised: dict[str, str]
+    chosen_by: dict[str, str]
     seed: int
 
     @classmethod
@@ -116,16 +116,16 @@ class CapturesJob(Frozen):
         contents = paper_tables.verification(study)
         used = dict.fromkeys(names.split(name)[0] for _, name in contents.measured)
         restored = any(names.split(name)[1] for _, name in contents.measured)
-        supervised: dict[str, str] = {}  # unrestored captures come first, where they are measured
+        chosen_by: dict[str, str] = {}  # unrestored captures come first, where they are measured
         for lens, name in sorted(contents.measured, key=lambda key: names.split(key[1])[1]):
             if names.split(name)[0] == study.supervisor:
-                supervised.setdefault(lens, name)
+                chosen_by.setdefault(lens, name)
         return cls(
             captures={lens: study.capture_of(lens) for lens in contents.lenses},
             restoration=study.restoration if restored else None,
             classifiers={name: study.classifier(name) for name in used},
             measured=contents.measured,
-            supervised=supervised,
+            chosen_by=chosen_by,
             seed=study.seeds[0],
         )
 
@@ -152,7 +152,7 @@ class CapturesJob(Frozen):
     @property
     def supervised_keys(self) -> list[MeasuredKey]:
         """Measurements that choose the images."""
-        return [MeasuredKey(*pair, self.seed) for pair in self.supervised.items()]
+        return [MeasuredKey(*pair, self.seed) for pair in self.chosen_by.items()]
 
 
 class TailsJob(SeededLenses):
@@ -203,7 +203,7 @@ class ReportJob(Frozen):
         margins: margins of claims by their text.
         questions: texts of the main claims, in order.
         paper_claims: claims as the paper makes them, and the stronger one about image quality.
-        supervised: names of the lenses that have an optimum.
+        with_optimum: names of the lenses whose descent has a local optimum.
         restored: names of the lenses with a restoration network.
         radii: distances of the fields of the grading from the axis, in units of that of the corner.
         design_radii: the same of the fields that designs see; empty if they are drawn.
@@ -221,7 +221,7 @@ class ReportJob(Frozen):
     margins: dict[str, float]
     questions: tuple[str, ...]
     paper_claims: tuple[PaperClaim, ...]
-    supervised: tuple[str, ...]
+    with_optimum: tuple[str, ...]
     restored: tuple[str, ...]
     radii: tuple[float, ...]
     design_radii: tuple[float, ...]
@@ -239,12 +239,12 @@ class ReportJob(Frozen):
             tables=tuple(table.name for table in contents.tables),
             elements={lens: entry.elements for lens, entry in entries.items()},
             descriptions={entry.design_name: description(entry) for entry in entries.values()},
-            by_task=tuple(lens for lens, entry in entries.items() if entry.task_driven),
-            by_classifier=tuple(lens for lens, entry in entries.items() if entry.classified),
+            by_task=tuple(lens for lens, entry in entries.items() if entry.by_task),
+            by_classifier=tuple(lens for lens, entry in entries.items() if entry.by_network),
             margins={claim.text: claim.margin for claim in paper_claims.claims(study).claims},
             questions=(paper_claims.OVER_IMAGE_QUALITY, paper_claims.OVER_LEAST_SQUARES, paper_claims.FEWER_ELEMENTS),
             paper_claims=paper_claims.PAPER_CLAIMS,
-            supervised=contents.supervised,
+            with_optimum=contents.with_optimum,
             restored=tuple(lens for lens, name in contents.measured if names.split(name)[1]),
             radii=radii(study.fields.grading_points, study.spec.aspect),
             design_radii=radii(study.fields.design_points or (), study.spec.aspect),

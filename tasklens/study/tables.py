@@ -85,7 +85,7 @@ def table(study: Study, name: str) -> TableContents:
     lenses = [
         lens
         for lens in study.lenses.values()
-        if not lens.other_task and (lens.classified if name == "table3" else lens.task_driven or not lens.classified)
+        if not lens.other_task and (lens.by_network if name == "table3" else lens.by_task or not lens.by_network)
     ]
     if name == "table4" and study.restored is not None:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
@@ -108,7 +108,7 @@ def _gaps(study: Study, lenses: Iterable[str]) -> dict[str, tuple[str, ...]]:
             other.name for other in entries if other.elements == lens.elements and other != lens and other.constrained
         )
         for lens in entries
-        if lens.supervised
+        if lens.by_psfs
     }
 
 
@@ -126,7 +126,7 @@ def table_lenses(study: Study) -> tuple[str, ...]:
 def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
     """Return the part of a study that the design of a lens may read; raises StudyError."""
     entry = study.lens(lens)
-    by_supervisor = entry.may_focus or (entry.classified and not entry.other_task)
+    by_supervisor = entry.may_focus or (entry.by_network and not entry.other_task)
     return LensDesign(
         entry=entry.model_copy(update={"capture": None, "fields": None}),  # given by `capture` and `fields` below
         spec=study.lens_spec(lens),
@@ -177,7 +177,7 @@ class VerificationContents(SeededLenses):
         efl_tolerance: largest relative deviation from it.
         tables: tables whose accuracies are compared.
         measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
-        supervised: names of the constrained lenses designed by a loss of captures or PSFs, which thus have an optimum.
+        with_optimum: names of the constrained lenses whose design minimises a loss of PSFs or captures.
         seeds: seeds of the study.
     """
 
@@ -186,7 +186,7 @@ class VerificationContents(SeededLenses):
     efl_tolerance: float
     tables: tuple[TableContents, ...]
     measured: tuple[tuple[str, str], ...]
-    supervised: tuple[str, ...]
+    with_optimum: tuple[str, ...]
 
     @property
     def measured_keys(self) -> list[MeasuredKey]:
@@ -205,6 +205,6 @@ def verification(study: Study) -> VerificationContents:
         efl_tolerance=study.constraints.efl_tolerance,
         tables=tables(study),
         measured=measured,
-        supervised=tuple(name for name, lens in entries.items() if lens.supervised and lens.constrained),
+        with_optimum=tuple(name for name, lens in entries.items() if lens.by_psfs and lens.constrained),
         seeds=study.seeds,
     )

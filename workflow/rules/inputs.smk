@@ -14,7 +14,7 @@ def design_weights(wildcards):
     entry = study.lens(wildcards.lens)
     if entry.other_task:
         return path_of(rules.task_reference.output.weights, study, task=entry.other_task)
-    by_supervisor = entry.classified or entry.may_focus
+    by_supervisor = entry.by_network or entry.may_focus
     return path_of(rules.reference.output.weights, study, classifier=study.supervisor) if by_supervisor else []
 
 

@@ -38,12 +38,12 @@ def run(
         psfs: PSFs of the lenses in `settings.captures`.
         restorations: restoration networks of the lenses in `settings.restored`.
         weights: networks of `settings.measured`.
-        correct: prediction files of `settings.supervised`.
+        correct: prediction files of `settings.chosen_by`.
     """
     device = claim()
     dataset_of_test = dataset.read(*test, device=device)
     classes = dataset_of_test.classes
-    indices = choose(dict(zip(settings.supervised, correct, strict=True)))
+    indices = choose(dict(zip(settings.chosen_by, correct, strict=True)))
     sharp, labels = dataset_of_test.batch(torch.tensor(indices))
     class_names = _class_names()
     captures: dict[tuple[str, bool], Tensor] = {(SHARP, False): sharp[:, None]}  # (image, field, 3, H, W)

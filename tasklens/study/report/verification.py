@@ -64,7 +64,7 @@ def verify(
     for lens, seed in product(contents.lenses, contents.seeds):
         lens_failures = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
         (failures if lens in contents.constrained else unconstrained).extend(lens_failures)
-        if lens in contents.supervised:
+        if lens in contents.with_optimum:
             failures += _optimum_failures(lens, seed, measurements.lens_file(lens, seed))
     accuracy = {}
     for (lens, classifier), seed in product(contents.measured, contents.seeds):

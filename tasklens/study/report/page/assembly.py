@@ -116,8 +116,8 @@ def _check_tails(settings: ReportJob, files: PageFiles, frames: Mapping[str, pan
 
 
 def _optima(settings: ReportJob, files: PageFiles) -> dict[str, Optimum]:
-    """Return the test for a local optimum of each supervised lens that has one, for the first seed."""
-    tests = {lens: optimum(yaml_files.read(files.lenses[lens])) for lens in settings.supervised}
+    """Return the test for a local optimum of each lens that has one, for the first seed."""
+    tests = {lens: optimum(yaml_files.read(files.lenses[lens])) for lens in settings.with_optimum}
     return {lens: test for lens, test in tests.items() if test is not None}
 
 
