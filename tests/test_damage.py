@@ -10,7 +10,6 @@ import torch
 from restoration import nafnet
 from tasklens.cli import app
 from tasklens.optics.io import psf_files
-from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.recognition import dataset
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.runtime import files
@@ -24,23 +23,23 @@ NAFNET = RestorationSettings(width=4, encoder=(1,), decoder=(1,), steps=1)
 SETS, NOTES = {"grading": (0, 2, 2), "corner": (1, 2, 1)}, {"fields_mm": [[0, 0], [1, 0]]}
 
 
-def good_psfs() -> FieldPsfs:
+def good_psfs() -> tuple[torch.Tensor, torch.Tensor]:
     generator = torch.Generator().manual_seed(0)
     psf = torch.rand(2, 3, 5, 5, generator=generator)
-    return FieldPsfs(psf / psf.sum((-2, -1), keepdim=True), torch.tensor([1.0, 0.6]))
+    return psf / psf.sum((-2, -1), keepdim=True), torch.tensor([1.0, 0.6])
 
 
 def test_psfs_come_back(tmp_path):
     psfs = good_psfs()
     path = tmp_path / "psf.safetensors"
-    psf_files.write(path, psfs, SETS, NOTES)
+    psf_files.write(path, *psfs, SETS, NOTES)
     for fields, part, turns in (("grading", slice(0, 2), 2), ("corner", slice(1, 2), 1)):
         psf, illumination, of_set = psf_files.read(path, fields)
-        assert torch.equal(psf, psfs.psf[part]) and torch.equal(illumination, psfs.illumination[part])
+        assert torch.equal(psf, psfs[0][part]) and torch.equal(illumination, psfs[1][part])
         assert of_set == turns
     with pytest.raises(FileError, match=r"psf\.safetensors: has no PSFs of the fields of nine; remove it"):
         psf_files.read(path, "nine")
-    psf_files.write(path, psfs, {"grading": (0, 2)}, NOTES)  # of an earlier version
+    psf_files.write(path, *psfs, {"grading": (0, 2)}, NOTES)  # of an earlier version
     with pytest.raises(FileError, match=r"has no PSFs of the fields of grading; remove it, and run its study again"):
         psf_files.read(path, "grading")
 
@@ -62,7 +61,7 @@ def test_psfs_come_back(tmp_path):
 )
 def test_psfs_that_no_lens_has_are_named(tmp_path, change, words):
     path = tmp_path / "psf.safetensors"
-    psf_files.write(path, FieldPsfs(*change(*good_psfs()[:2])), SETS, NOTES)
+    psf_files.write(path, *change(*good_psfs()), SETS, NOTES)
     with pytest.raises(FileError, match=r"psf\.safetensors: .*; delete it and run again") as error:
         psf_files.read(path, "grading")
     assert words in str(error.value)

@@ -13,7 +13,6 @@ from PIL import Image
 from rules import finish, outputs
 
 from tasklens.optics.io import psf_files
-from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.optics.view import view_of_spec
 from tasklens.settings.specification import Spec
 from tasklens.study.jobs import frames as frames_job
@@ -62,7 +61,7 @@ def study(tmp_path, monkeypatch):
         psf[..., 2, 2] = 1
         path = outputs("psfs", study, lens=lens, seed=0).psf
         notes = {"fields_mm": PSFS * [[0, 0]]}
-        psf_files.write(path, FieldPsfs(psf, torch.ones(PSFS)), {"grading": (0, PSFS, 4)}, notes)
+        psf_files.write(path, psf, torch.ones(PSFS), {"grading": (0, PSFS, 4)}, notes)
         tuned = outputs("fine_tune", study, lens=lens, measured_name="small", seed=0)
         columns = {f"field{k}": correct if k == HALFWAY else [0] * IMAGES for k in range(FIELDS)}
         rows = {"image": range(IMAGES), "label": ["cat", "dog"] * (IMAGES // 2)} | columns

@@ -10,7 +10,6 @@ from examples import measurement, tiny_study, write
 from rules import finish, outputs
 
 from tasklens.optics.io import psf_files
-from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.runtime.files import FileError
 from tasklens.study.loading import parse
 from tasklens.study.report import merit_function
@@ -77,8 +76,8 @@ def write_results(study, light: float) -> None:
         psf = gaussians(random.uniform(0.4, 3, 9).tolist())
         path = outputs("psfs", study, lens=lens, seed=0).psf
         path.parent.mkdir(parents=True, exist_ok=True)
-        psfs, notes = FieldPsfs(torch.from_numpy(light * psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
-        psf_files.write(path, psfs, {"selection": (0, len(psf), 1)}, notes)
+        psfs, notes = (torch.from_numpy(light * psf), torch.ones(len(psf))), {"fields_mm": [[0, 0]] * len(psf)}
+        psf_files.write(path, *psfs, {"selection": (0, len(psf), 1)}, notes)
         for name, band in (("small", 2), ("other", 5)):
             loss = numpy.exp(1 - 4 * modulation(psf)[:, band])
             losses = {"image": range(2), "label": ["cat", "dog"]}

@@ -12,7 +12,6 @@ from examples import changed, lens_file, tiny_study, write
 from PIL import Image
 
 from tasklens.optics.io import psf_files
-from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.runtime.files import write_tensors
 from tasklens.study import loading
 from tasklens.study.claims import OVER_LEAST_SQUARES, Claim, Claims
@@ -72,7 +71,7 @@ def test_a_perfect_lens_is_read_as_sharp_photographs_are(tmp_path, monkeypatch):
         psf[:, :, 5, 5] = light
         path = lens_file("tiny", lens, name="psf.safetensors")
         path.parent.mkdir(parents=True)
-        psf_files.write(path, FieldPsfs(psf, torch.ones(9)), {"grading": (0, 9, 1)}, {"fields_mm": [[0, 0]] * 9})
+        psf_files.write(path, psf, torch.ones(9), {"grading": (0, 9, 1)}, {"fields_mm": [[0, 0]] * 9})
     (lens, classifier, _), (baseline, _, _) = KEYS
     claim = Claim(
         table="table1",

@@ -27,7 +27,7 @@ Key = tuple[str, str, int]  # lens, classifier, seed
 
 def answers(study: Study, results: Path, folder: Path, keys: list[Key]) -> Mapping[Key, pandas.DataFrame]:
     """Return the correct answers, a row per photograph and a column per field, of lenses and of the sharp images."""
-    settings = study.network(study.supervisor).model_copy(update={"outputs": "all_imagenet"})
+    settings = study.classifier(study.supervisor).model_copy(update={"outputs": "all_imagenet"})
     with tempfile.TemporaryDirectory() as place:
         images = ImageSettings(folder=folder, size=study.images.size)
         photographs = dataset.training_images(images, Path(place) / "photographs.npy")

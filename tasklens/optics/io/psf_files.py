@@ -18,17 +18,23 @@ class FieldPsfs(NamedTuple):
 
     psf: Tensor
     illumination: Tensor
-    turns: int = 1
+    turns: int
 
 
-def write(path: Path, psfs: FieldPsfs, sets: Mapping[str, tuple[int, int, int]], notes: Mapping[str, Any]) -> None:
-    """Write PSFs in float32.
+def write(
+    path: Path,
+    psf: Tensor,
+    illumination: Tensor,
+    sets: Mapping[str, tuple[int, int, int]],
+    notes: Mapping[str, Any],
+) -> None:
+    """Write PSFs (F, 3, K, K) and relative illumination (F,) in float32.
 
     Args:
         sets: first field of each set, the one after its last, and the number of turns.
         notes: notes, which include `fields_mm`.
     """
-    tensors = {name: getattr(psfs, name).float() for name in _TENSORS}
+    tensors = dict(zip(_TENSORS, (psf.float(), illumination.float()), strict=True))
     write_tensors(path, tensors, {**notes, "sets": {name: list(part) for name, part in sets.items()}})
 
 

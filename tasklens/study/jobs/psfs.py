@@ -8,7 +8,6 @@ import torch
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription, psf_files
-from tasklens.optics.io.psf_files import FieldPsfs
 from tasklens.optics.psf import energy_inside, psf_notes, window_remark
 from tasklens.optics.view import drawn_points, view_of_spec
 from tasklens.study.job_settings import PsfJob
@@ -35,4 +34,4 @@ def run(settings: PsfJob, lens: Path, psf: Path) -> None:
         print(f"tasklens: {lens}: {remark}", file=sys.stderr)
     light = relative_illumination(design, view) if settings.sensor else torch.ones(len(points))  # it takes seconds
     notes = psf_notes(view, grid) | {"rays": settings.rays, "diffraction": settings.diffraction}
-    psf_files.write(psf, FieldPsfs(grid, light), sets, notes)
+    psf_files.write(psf, grid, light, sets, notes)
