@@ -8,7 +8,7 @@ Holm's correction. There are also the differences at the paper's nine fields or,
 graded only there, without the corner field; and the lowest and highest difference without one of the fields.
 
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
-networks, decomposition.svg, of the network that supervised the designs, and answer.svg, of the studies of the README.
+networks, and decomposition.svg, of the network that supervised the designs.
 With `--check` it writes nothing, and ends with 1 if the rows of a study differ from those in decomposition.csv.
 """
 
@@ -39,10 +39,6 @@ STEPS = {  # designs of each step; of several, the one with the best minival acc
     "task, from an image-quality lens": ("tasklens_from_quality",),
     "task, network trained jointly": ("tasklens_joint",),
     "task, from flat plates, then jointly": ("tasklens_joint_from_flat",),
-}
-ANSWER = {  # studies of the figure of the README, and their headings
-    "replication": "textures, fine-tuned ResNet",
-    "photographs": "photographs, MobileNetV2",
 }
 QUALITY = (
     *("image_psnr", "image_error", "image_contrast"),
@@ -148,7 +144,7 @@ def _range(
     return {"lowest": min(differences), "highest": max(differences)}
 
 
-def draw(table: pandas.DataFrame, path: Path, headings: Mapping[str, str]) -> None:
+def draw(table: pandas.DataFrame, path: Path) -> None:
     """Draw the difference of each step as a point with its interval: filled for all fields, open for others."""
     table = table.drop_duplicates([key for key in _KEYS if key != "compared_with"])  # the first comparison of each step
     panels = list(table.groupby(["study", "elements", "classifier"], sort=False))
@@ -171,7 +167,7 @@ def draw(table: pandas.DataFrame, path: Path, headings: Mapping[str, str]) -> No
                     axis.text(1.01, y, f"{row['accuracy']:.1f}", transform=axis.get_yaxis_transform(), va="center")
             axis.axvline(0, color="black", linewidth=1)
             first = part.iloc[0]
-            title = f"{headings.get(study, study)}\n{elements} ({first['step']} {first['accuracy']:.1f})"
+            title = f"{study}\n{elements} ({first['step']} {first['accuracy']:.1f})"
             axis.set_title(title, fontsize="medium", loc="left")
             axis.spines[["top", "right"]].set_visible(False)
         for axis in axes.flat[len(panels) - columns : len(panels)]:  # the lowest of each column
@@ -214,9 +210,7 @@ def main() -> int:
     table.to_csv(FOLDER / "decomposition.csv", index=False)
     supervisors = table.groupby("study")["classifier"].transform("first")  # table 1 comes first
     table = table[table["classifier"] == supervisors]
-    draw(table, FOLDER / "decomposition.svg", {})
-    if set(ANSWER) <= set(options.studies):
-        draw(table[table["study"].isin(ANSWER)], FOLDER / "answer.svg", ANSWER)
+    draw(table, FOLDER / "decomposition.svg")
     return 0
 
 
