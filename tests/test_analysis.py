@@ -7,7 +7,7 @@ import pytest
 import torch
 from examples import WAVELENGTHS, cooke_triplet, f64, lens_and_view, make_lens, rays_on_image
 
-from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.mtf import airy_radius, diffraction_cutoff, geometric_mtf
 from tasklens.optics.analysis.pupil import rim, sobol_disc
 from tasklens.optics.analysis.spots import (
@@ -227,7 +227,7 @@ def test_a_field_without_light_does_not_keep_a_lens_out_of_focus(by):
     lens = cooke_triplet()
     both = View(f64([[0.0, 0.0], [0.0, 60.0]]), 50.0, (0.5876,), 5.0, 31)
     axis = replace(both, fields=both.fields[:1])
-    focused, on_axis = (refocused(lens, view, by).thickness[-1] for view in (both, axis))
+    focused, on_axis = (refocus(lens, view, by).thickness[-1] for view in (both, axis))
     assert focused == on_axis != lens.thickness[-1]
     with pytest.raises(InputError, match="no ray of any field reaches the image"):
-        refocused(lens, replace(both, fields=both.fields[1:]), by)
+        refocus(lens, replace(both, fields=both.fields[1:]), by)

@@ -9,7 +9,16 @@ from examples import changed, tiny_study, write
 from rules import job_of, rule_names, workflow
 
 from tasklens.study.loading import dump, parse, resolved
-from tasklens.study.run.changes import COUNTED, Change, PlannedJob, amount, changes, overwritten, refusal, unrecorded
+from tasklens.study.run.changes import (
+    COUNTED,
+    Change,
+    PlannedJob,
+    amount,
+    changes,
+    find_overwritten,
+    find_unrecorded,
+    refusal,
+)
 from tasklens.study.run.forecast import Durations
 from tasklens.study.study import Study
 
@@ -68,7 +77,7 @@ def find_overwrites():
                 jobs[label] = replace(
                     job, outputs=("file",) if label in first_jobs and label not in missing else (), made_with=settings
                 )
-        return overwritten(parse(after), jobs)
+        return find_overwritten(parse(after), jobs)
 
     return find
 
@@ -111,7 +120,7 @@ def test_settings_of_another_text_need_consent(tmp_path):
     old = jobs_of(parse(before))
     jobs = {label: replace(job, made_with=old[label].settings) for label, job in jobs_of(parse(after)).items()}
     jobs = {label: job for label, job in jobs.items() if job.rule == "reference"}
-    (_, line, *_) = refusal_lines(overwritten(parse(after), jobs), tmp_path)
+    (_, line, *_) = refusal_lines(find_overwritten(parse(after), jobs), tmp_path)
     assert line == "  values in another order or format: 1 classifier again"
 
 
@@ -208,7 +217,7 @@ def test_changed_code_needs_consent(tmp_path):
     jobs = {label: replace(job, code="new", made_by="new") for label, job in jobs_of(study).items()}
     label = "design/singlet-imaging1-seed0"
     jobs[label] = replace(jobs[label], made_by="old")
-    (_, line, _, take, _) = refusal_lines(overwritten(study, jobs), tmp_path)
+    (_, line, _, take, _) = refusal_lines(find_overwritten(study, jobs), tmp_path)
     assert line == "  changed code of TaskLens: 1 lens, 3 classifiers again"
     assert take.endswith("Or take them for results of the present code:  the same command with --touch")
     write("results/tiny/study.yaml", dump(study))
@@ -218,7 +227,7 @@ def test_changed_code_needs_consent(tmp_path):
         for name, job in jobs_of(after).items()
         if job.rule == "fine_tune"
     }
-    (_, first, second, *ways) = refusal_lines(overwritten(after, jobs), tmp_path)
+    (_, first, second, *ways) = refusal_lines(find_overwritten(after, jobs), tmp_path)
     assert not any("--touch" in way for way in ways)  # the results have other settings
     assert first.endswith("6 classifiers again") and second == "  changed code of TaskLens: 1 lens again"
 
@@ -227,10 +236,10 @@ def test_results_without_a_record_are_not_taken_for_others(tmp_path):
     """Results that were copied without Snakemake's folder, and a changed value."""
     study, faster = parse(base()), parse(changed(base(), "spec.f_number", 2.0))
     copied = [replace(job, remains=False, made_with=None) for job in jobs_of(faster).values()]
-    assert unrecorded(faster, copied) is None
+    assert find_unrecorded(faster, copied) is None
     write("results/tiny/study.yaml", dump(study))
-    assert unrecorded(study, copied) is None
-    assert "  spec.f_number: 2.8 -> 2.0\n" in str(unrecorded(faster, copied))
+    assert find_unrecorded(study, copied) is None
+    assert "  spec.f_number: 2.8 -> 2.0\n" in str(find_unrecorded(faster, copied))
     longer = tiny_study()["designs"]["imaging1"]["descents"]
     for key, value, is_safe in (
         ("seeds", [0, 1], True),
@@ -238,9 +247,9 @@ def test_results_without_a_record_are_not_taken_for_others(tmp_path):
         ("designs.imaging3", tiny_study()["designs"]["imaging1"], True),
         ("designs.imaging1.descents", [*longer, longer[0]], False),
     ):
-        assert (unrecorded(parse(changed(base(), key, value)), copied) is None) == is_safe, key
+        assert (find_unrecorded(parse(changed(base(), key, value)), copied) is None) == is_safe, key
     for known in ({"made_with": "{}"}, {"outputs": ()}, {"remains": True}):
-        assert unrecorded(faster, [replace(job, **known) for job in copied]) is None
+        assert find_unrecorded(faster, [replace(job, **known) for job in copied]) is None
 
 
 def test_settings_of_the_outputs_count(tmp_path):
@@ -249,9 +258,9 @@ def test_settings_of_the_outputs_count(tmp_path):
     write("results/tiny/study.yaml", dump(after))
     label = "design/singlet-imaging1-seed0"
     job = replace(jobs_of(after)[label], made_with=jobs_of(before)[label].settings)
-    overwrites = overwritten(after, {label: job})
+    overwrites = find_overwritten(after, {label: job})
     assert overwrites.by_values == ("design",)
     (head, line, *_) = refusal_lines(overwrites, tmp_path)
     assert "finished results" in head and line == "  entry.design.descents.0.steps: 2 -> 3: 1 lens again"
-    unknown = overwritten(after, {label: replace(job, made_with=None)})
+    unknown = find_overwritten(after, {label: replace(job, made_with=None)})
     assert unknown.by_values == () and unknown.otherwise == ("design",)

@@ -11,7 +11,7 @@ from safetensors.torch import load_file
 
 import tasklens
 from tasklens.cli.app import main
-from tasklens.optics.analysis.focus import shifted
+from tasklens.optics.analysis.focus import move_image_plane
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
@@ -56,7 +56,7 @@ def test_every_door_gives_the_same_answers(tmp_path, monkeypatch, capsys):
     verdict = json.loads(capsys.readouterr().out)["verdict"]
 
     designed, view = tasklens.load_lens("designed.yaml")
-    tasklens.save_lens("blurred.yaml", shifted(designed, 0.1), view)
+    tasklens.save_lens("blurred.yaml", move_image_plane(designed, 0.1), view)
     names = ("designed", "blurred")
     files = [f"{name}.yaml" for name in names]
     size = ("--diagonal", repr(2 * float(view.radii.max())), "--pixel-pitch", "4", "--kernel-size", "15")

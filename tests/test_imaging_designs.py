@@ -179,7 +179,7 @@ def test_a_perturbation_that_makes_it_worse_is_forgotten(monkeypatch):
     """Two evaluations from plane plates give nothing better, so the earlier lens is returned."""
     plates = flat(PLASTICS, SPEC, LIMITS)
     settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
-    monkeypatch.setattr(least_squares, "_perturbed", lambda lens, rng: plates)
+    monkeypatch.setattr(least_squares, "_perturb", lambda lens, rng: plates)
     monkeypatch.setattr(least_squares, "_PERTURBATION_EVALUATIONS", 2)
     _, history = least_squares.design(plates, PROBLEM, settings)
     unperturbed = min(row["rms_um"] for row in history if row["stage"] == "4 orders")
@@ -217,7 +217,7 @@ def test_a_perturbation_changes_some_variables_a_little(start):
     random, before = numpy.random.default_rng(0), Variables.plain(start).values()
     changed, deviations = [], []
     for _ in range(300):
-        after = Variables.plain(least_squares._perturbed(start, random)).values()
+        after = Variables.plain(least_squares._perturb(start, random)).values()
         relative = torch.cat(
             [(after[name] - before[name]) / before[name].abs().mean() for name in ("curvature", "thickness")]
         )

@@ -24,7 +24,7 @@ from tasklens.design import methods
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
-from tasklens.optics.analysis.focus import refocused, shifted
+from tasklens.optics.analysis.focus import move_image_plane, refocus
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_radius, trace_fields, trace_fields_full
@@ -94,7 +94,7 @@ def test_size_and_stop_of_the_file_do_not_matter(tmp_path):
     refitted, large_notes = fit_lens(tmp_path, large, object_distance_mm=800.0)
     for name in ("curvature", "conic", "alpha", "semi_diameter"):
         torch.testing.assert_close(getattr(refitted, name), getattr(expected, name), rtol=1e-12, atol=0)
-    moved = shifted(expected, 1.5 * large_notes["scale"]).thickness
+    moved = move_image_plane(expected, 1.5 * large_notes["scale"]).thickness
     torch.testing.assert_close(refitted.thickness, moved, rtol=0, atol=1e-6)
     assert (refitted.media, refitted.stop) == (expected.media, expected.stop)
     assert large_notes["scale"] == pytest.approx(notes["scale"] / 7, rel=1e-12)
@@ -104,10 +104,10 @@ def test_size_and_stop_of_the_file_do_not_matter(tmp_path):
 
 def test_the_image_plane_is_where_the_mean_spot_is_smallest(tmp_path):
     """Tracing through to planes on both sides, near and far, gives larger means; single fields differ."""
-    lens = refocused(fit_lens(tmp_path, cooke_triplet())[0], VIEW, "spot")
+    lens = refocus(fit_lens(tmp_path, cooke_triplet())[0], VIEW, "spot")
 
     def rms(shift: float) -> torch.Tensor:
-        rays = trace_fields(shifted(lens, shift), VIEW, sobol_disc(RAYS, 0))
+        rays = trace_fields(move_image_plane(lens, shift), VIEW, sobol_disc(RAYS, 0))
         return rms_spot_radius(rays, centroid(rays))
 
     best = float(rms(0.0).mean())
@@ -150,13 +150,13 @@ def test_the_network_sets_the_focus_of_a_scaled_lens(tmp_path):
     """Its loss on training images is no larger than at the peak of the MTF; in the plane of the file it is larger."""
     images, network = random_images(12, 16, 3, seed=0), tiny_network()
     fit_network(network, images, TrainingSettings(epochs=60, learning_rate=1e-2, batch_size=12), 0, "sharp")
-    settings = settings_of(tmp_path, shifted(cooke_triplet(), 1.5), focus=None, kernel_size=31)
+    settings = settings_of(tmp_path, move_image_plane(cooke_triplet(), 1.5), focus=None, kernel_size=31)
     lens, notes, *_ = methods.design(settings, network, images, {}, {})
     problem = Problem(VIEW_31, settings.constraints, settings.seed, settings.capture, images)
     objective = Objective(TaskLoss(network), problem, None, False, 36, "chief_ray")
-    given = fit_lens(tmp_path, shifted(cooke_triplet(), 1.5))[0]
+    given = fit_lens(tmp_path, move_image_plane(cooke_triplet(), 1.5))[0]
     own, peak, file = (
-        float(objective.fixed_losses(each, 1.0, slice(24)).mean()) for each in (lens, refocused(given, VIEW_31), given)
+        float(objective.fixed_losses(each, 1.0, slice(24)).mean()) for each in (lens, refocus(given, VIEW_31), given)
     )
     assert own <= peak < file
     assert notes["origin"]["focus"] == "network"
@@ -166,8 +166,8 @@ def test_the_network_sets_the_focus_of_a_scaled_lens(tmp_path):
 @pytest.mark.parametrize("focus, plane", [("file", 0.01), ("mtf", 0.0), ("spot", 0.0)])
 def test_the_image_plane_of_the_file_remains_unless_another_is_asked_for(tmp_path, focus, plane):
     """A lens in its own size, 10 um out of focus; it needs no network."""
-    lens = shifted(
-        refocused(fit_lens(tmp_path, cooke_triplet())[0], VIEW_31, "spot" if focus == "spot" else "mtf"), 0.01
+    lens = move_image_plane(
+        refocus(fit_lens(tmp_path, cooke_triplet())[0], VIEW_31, "spot" if focus == "spot" else "mtf"), 0.01
     )
     settings = settings_of(tmp_path, lens, focus=focus, kernel_size=31)
     result, notes, *_ = methods.design(settings, None, None, {}, {})
@@ -282,7 +282,7 @@ def test_a_phone_lens_close_to_the_specification(path):
     first_order = paraxial(lens, spec.wavelengths_um[1])
     assert float(first_order.efl) == pytest.approx(2.921, abs=5e-4)
     assert float(first_order.efl / (2 * first_order.entrance_pupil_radius)) == pytest.approx(2.8, rel=1e-12)
-    focused = refocused(lens, view_of_spec(spec))
+    focused = refocus(lens, view_of_spec(spec))
     if object_distance:  # refocusing to infinity shifts the focus of the scaled lens by EFL^2 / distance
         shift = float(focused.thickness[-1] - lens.thickness[-1])
         assert shift == pytest.approx(-(2.921**2) / (370 * notes["scale"]), rel=0.15)
@@ -299,7 +299,7 @@ def test_every_phone_lens_serves(path):
     If the stop is inside, a few percent of the rays are lost behind it by total reflection at the largest fields.
     """
     spec = Spec()
-    lens = refocused(imported.fit(phone(path), view_of_spec(spec), spec.f_number)[0], view_of_spec(spec), "spot")
+    lens = refocus(imported.fit(phone(path), view_of_spec(spec), spec.f_number)[0], view_of_spec(spec), "spot")
     rays = trace_fields(lens, view_of_spec(spec), sobol_disc(256, 0))
     assert float(rms_spot_radius(rays, centroid(rays)).max()) < 8e-3
     assert float(rays.valid.double().mean((1, 2)).min()) > (0.9 if lens.stop > 1 else 1 - 1e-12)

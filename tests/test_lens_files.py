@@ -11,7 +11,7 @@ import yaml
 from examples import cooke_triplet, f64, make_lens
 
 import tasklens
-from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.io import lens_files, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
@@ -174,13 +174,13 @@ def test_a_near_object_is_where_a_lens_file_of_ours_has_it(tmp_path):
 def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     """Its image goes back by f^2 / (s - f), about 10 mm."""
     view = View(f64([[0.0, 0.0], [0.0, 2.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
-    near = refocused(cooke_triplet(), view)
+    near = refocus(cooke_triplet(), view)
     lens_data = prescription.with_system_data(Prescription(near, object_distance_mm=300.0), view)
     lens_files.write(tmp_path / name, lens_data, tasklens.api.described(near, view, rays=64))
     assert torch.equal(lens_files.read(tmp_path / name).lens.thickness, near.thickness)
     with pytest.warns(UserWarning, match="object at 300 mm in the file: refocused for infinity"):
         far, _ = tasklens.load_lens(tmp_path / name, object_distance_mm=numpy.float32(math.inf))
-    infinity = refocused(cooke_triplet(), replace(view, object_vergence=0.0))
+    infinity = refocus(cooke_triplet(), replace(view, object_vergence=0.0))
     assert float(far.thickness[-1]) == pytest.approx(float(infinity.thickness[-1]), abs=0.02)
     assert float(near.thickness[-1] - far.thickness[-1]) == pytest.approx(10, abs=1)
 

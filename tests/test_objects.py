@@ -63,7 +63,7 @@ def test_the_map_of_classes_has_smaller_objects_on_top():
 
 def test_packed_masks_come_back():
     masks = torch.rand(5, 16, 8, generator=torch.Generator().manual_seed(0)) > 0.5
-    assert torch.equal(objects.unpacked(objects.packed(masks), (16, 8)), masks)
+    assert torch.equal(objects.unpack(objects.pack(masks), (16, 8)), masks)
 
 
 def test_files_hold_a_split(tmp_path):

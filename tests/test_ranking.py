@@ -55,7 +55,7 @@ def predictions(count: int, seed: int, *accuracies: float) -> dict[str, pandas.D
 def test_the_order_is_that_of_the_accuracies():
     """A rank with the accuracy at each field, and the difference to the first lens."""
     correct = predictions(400, 0, 0.5, 0.9, 0.7)
-    ranks = ranking.ranked(correct)
+    ranks = ranking.rank_lenses(correct)
     assert [rank.lens for rank in ranks] == ["b", "c", "a"] and [rank.group for rank in ranks] == [1, 2, 3]
     for rank in ranks:
         assert rank.accuracy == pytest.approx(100 * correct[rank.lens].to_numpy().mean())
@@ -68,20 +68,22 @@ def test_the_order_is_that_of_the_accuracies():
 
 def test_equal_lenses_are_in_one_group():
     """In at least 17 of 20 draws, twenty equally good lenses are in one group: 5 % are split wrongly."""
-    split = [max(rank.group for rank in ranking.ranked(predictions(200, seed, *20 * [0.8]))) > 1 for seed in range(20)]
+    split = [
+        max(rank.group for rank in ranking.rank_lenses(predictions(200, seed, *20 * [0.8]))) > 1 for seed in range(20)
+    ]
     assert sum(split) <= 3
 
 
 def test_a_much_better_lens_is_alone_among_hundreds():
     """Also if it classifies every photograph correctly, and the others none."""
-    ranks = ranking.ranked(predictions(100, 0, 0.99, *299 * [0.2]))
+    ranks = ranking.rank_lenses(predictions(100, 0, 0.99, *299 * [0.2]))
     assert [rank.group for rank in ranks].count(1) == 1
-    assert [rank.group for rank in ranking.ranked(predictions(50, 0, 1.0, 0.0))] == [1, 2]
+    assert [rank.group for rank in ranking.rank_lenses(predictions(50, 0, 1.0, 0.0))] == [1, 2]
 
 
 def test_few_photographs_do_not_make_a_lens_perfect():
     """Ten of ten right: the accuracy is above 69 %, by the binomial distribution; the difference is as uncertain."""
-    ranks = ranking.ranked(predictions(10, 0, 1.0, 1.0))
+    ranks = ranking.rank_lenses(predictions(10, 0, 1.0, 1.0))
     assert [rank.low for rank in ranks] == pytest.approx([69.15] * 2, abs=0.01) and ranks[0].high == 100
     assert ranks[1].behind_high == pytest.approx(30.85, abs=0.01) == -ranks[1].behind_low
     (sentence,) = ranking.sentences(ranks[:1], {})
@@ -92,13 +94,13 @@ def test_photographs_that_all_agree_are_few():
     """In each of 8 photographs the second lens misses one field of 9: the difference may be up to 37 points off."""
     first = pandas.DataFrame(1, index=pandas.MultiIndex.from_product([range(8), ["a"]]), columns=[*"abcdefghi"])
     first.index.names = ["image", "label"]
-    ranks = ranking.ranked({"a": first, "b": first.assign(i=0)})
+    ranks = ranking.rank_lenses({"a": first, "b": first.assign(i=0)})
     assert [rank.group for rank in ranks] == [1, 1]
     assert (ranks[1].behind_low, ranks[1].behind_high) == pytest.approx((11.11 - 36.94, 11.11 + 36.94), abs=0.01)
-    ranks = ranking.ranked({"a": first.iloc[:3], "b": 0 * first.iloc[:3]})
+    ranks = ranking.rank_lenses({"a": first.iloc[:3], "b": 0 * first.iloc[:3]})
     assert ranks[1].behind_high == 100 and ranks[1].behind_low == pytest.approx(29.24, abs=0.01)
     many = pandas.concat([first.rename(index=lambda k, c=copy: 8 * c + k, level=0) for copy in range(9)])
-    assert [rank.group for rank in ranking.ranked({"a": many, "b": many.assign(i=0)})] == [1, 2]
+    assert [rank.group for rank in ranking.rank_lenses({"a": many, "b": many.assign(i=0)})] == [1, 2]
 
 
 def test_differences_are_of_the_same_photographs():
@@ -106,7 +108,7 @@ def test_differences_are_of_the_same_photographs():
     correct = predictions(300, 0, 0.5)
     worse = correct["a"].copy()
     worse.iloc[(worse.sum(axis=1) == 2).to_numpy().nonzero()[0][:12]] = 0
-    ranks = ranking.ranked({**correct, "b": worse})
+    ranks = ranking.rank_lenses({**correct, "b": worse})
     assert [rank.group for rank in ranks] == [1, 2]
     assert ranks[1].behind_high - ranks[1].behind_low < 0.7 * (ranks[1].high - ranks[1].low)
 
@@ -200,7 +202,7 @@ SENSOR = (*WEIGHTS, *SMALL)
 
 
 @pytest.fixture(scope="module")
-def ranked(folder):
+def rank_lenses(folder):
     """The command for all lenses, as a program."""
     command = [sys.executable, "-m", "tasklens.cli", *COMMAND, *SENSOR]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True)

@@ -194,7 +194,7 @@ def test_a_repair_that_cannot_succeed_ends_at_the_smallest_violation(spot_lens, 
         return model
 
     monkeypatch.setattr(RaySpace, "linearise", recorded)
-    lens = ray_space._repaired(spot_lens, VIEW, impossible, None)
+    lens = ray_space._repair(spot_lens, VIEW, impossible, None)
     least = min(norms)
     space = RaySpace(lens, VIEW, impossible)
     assert space.linearise(space.start).violation_norm == pytest.approx(least, rel=1e-6) and least > 0.1

@@ -5,7 +5,7 @@ import torch
 from pycocotools import mask
 
 from tasklens.recognition import object_scenes, objects
-from tasklens.recognition.scores import Detections, average_precision, encoded, mean_iou
+from tasklens.recognition.scores import Detections, average_precision, encode, mean_iou
 
 
 def boxes(*corners):
@@ -115,7 +115,7 @@ def test_scores_of_shifted_scenes_against_another_implementation(by, overlap):
     truths, answers = [], []
     for image in range(12):
         labels, masks = scenes.objects_of(image)
-        truths.append(Detections(objects.boxes(masks), labels, None, encoded(masks)))
+        truths.append(Detections(objects.boxes(masks), labels, None, encode(masks)))
         shifted = torch.stack(
             [m.roll(tuple(torch.randint(-3, 4, (2,), generator=generator).tolist()), (0, 1)) for m in masks]
         )
@@ -123,7 +123,7 @@ def test_scores_of_shifted_scenes_against_another_implementation(by, overlap):
         other = torch.where(torch.rand(len(labels), generator=generator) < 0.2, (labels + 1) % 10, labels)
         scores = torch.rand(len(labels), generator=generator)
         answers.append(
-            Detections(objects.boxes(shifted)[visible], other[visible], scores[visible], encoded(shifted[visible]))
+            Detections(objects.boxes(shifted)[visible], other[visible], scores[visible], encode(shifted[visible]))
         )
     expected = own_average_precision(answers, truths, 0.5, 10, overlap)
     assert average_precision(answers, truths, 10, by)["ap50"] == pytest.approx(expected, abs=1e-6)

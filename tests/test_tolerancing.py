@@ -11,7 +11,7 @@ from tolerance_examples import AIR, COC, NOTHING, OKP4, doublet, grade
 
 from tasklens.materials.material import D_LINE
 from tasklens.optics.analysis import focus
-from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
@@ -75,7 +75,7 @@ def test_a_lens_without_errors_is_the_design():
     pupil = sobol_disc(64, seed=0)
     rays, expected = trace_fields(perfect, view, pupil), trace_fields(lens, view, pupil)
     torch.testing.assert_close(rays.x, expected.x, rtol=0, atol=1e-14)
-    assert focus.focused(perfect, view, focus.peak(lens, view))[1] == pytest.approx(0.0, abs=1e-9)
+    assert focus.focus_built(perfect, view, focus.peak(lens, view))[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def one(lens: Lens, name: str, tolerances: Grade) -> Lens:
@@ -166,7 +166,7 @@ def test_a_shifted_sensor_is_focused_back(shift):
     lens, view = doublet()
     peak = focus.peak(lens, view)
     defocused = replace(lens, thickness=lens.thickness + f64([0, 0, 0, 0, shift]))
-    sharp_lens, by = focus.focused(defocused, view, peak)
+    sharp_lens, by = focus.focus_built(defocused, view, peak)
     assert by == pytest.approx(-shift, abs=5e-4) and float(
         sharp_lens.thickness[4] - lens.thickness[4]
     ) == pytest.approx(0.0, abs=5e-4)
@@ -177,10 +177,10 @@ def test_a_long_lens_is_focused_within_a_tenth_of_its_depth(shift):
     """Depth is F-number / frequency, here 0.09 mm, and not a part of the focal length of 50 mm."""
     lens = cooke_triplet()
     view = View(f64([[0.0, 0.0], [0.0, 1.0]]), 50.0, (0.6563, D_LINE, 0.4861), 1.8, 51)
-    lens = refocused(lens, view, "spot")
+    lens = refocus(lens, view, "spot")
     peak = focus.peak(lens, view)
     moved = replace(lens, thickness=lens.thickness + f64([0] * 8 + [shift]))
-    assert float(focus.focused(moved, view, peak)[1]) == pytest.approx(-shift, abs=0.002)
+    assert float(focus.focus_built(moved, view, peak)[1]) == pytest.approx(-shift, abs=0.002)
 
 
 @pytest.mark.parametrize("shift", [1.5, -4.0])
@@ -209,7 +209,7 @@ def test_a_decentre_of_either_sign_is_focused_alike():
     peak = focus.peak(lens, view)
     all_errors = errors(lens, grade(element_decentre_um=20.0))
     shifts = [
-        focus.focused(with_errors(lens, all_errors, s * f64([1, 0, 0, 0]), D_LINE), view, peak)[1] for s in (1, -1)
+        focus.focus_built(with_errors(lens, all_errors, s * f64([1, 0, 0, 0]), D_LINE), view, peak)[1] for s in (1, -1)
     ]
     assert float(shifts[0]) == pytest.approx(float(shifts[1]), abs=5e-4)
 

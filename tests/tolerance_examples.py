@@ -3,7 +3,7 @@
 from examples import f64, make_lens, materials
 
 from tasklens.materials.material import D_LINE
-from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.settings.tolerance_settings import GRADES, Grade
@@ -26,4 +26,4 @@ def doublet() -> tuple[Lens, View]:
         semi_diameter=[0.5, 1.4, 1.4, 1.4, 1.4],
     )
     view = View(f64([[0.0, 0.0], [0.4, 0.0], [0.0, 0.4]]), 4.6, (0.6563, D_LINE, 0.4861), 2.0, 31)
-    return refocused(lens, view, "spot"), view
+    return refocus(lens, view, "spot"), view

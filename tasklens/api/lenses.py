@@ -14,7 +14,7 @@ from torch import Tensor
 from tasklens.materials.catalogues import is_ours
 from tasklens.materials.library import Library, user_files
 from tasklens.optics.analysis.datasheet import figures, spec_of
-from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
@@ -141,10 +141,10 @@ def lens(
     prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
     prescription = replace(prescription, object_distance_mm=float(object_distance_mm))
     changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
-    file = lens_files.derived(prescription, changes, colours, 1 / object_distance_mm)
+    file = lens_files.derive_specification(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" not in surfaces[-1]:
         check_focal_length(file.lens, file.view.reference_um, "the last thickness is missing, and a focus needs")
-        file = replace(file, lens=refocused(file.lens, file.view))
+        file = replace(file, lens=refocus(file.lens, file.view))
     for remark in light_remarks(file.lens, file.view):
         warnings.warn(remark, stacklevel=2)
     return file.lens, file.view

@@ -196,7 +196,7 @@ def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, ra
         at_nine[name], _ = predictions(subject, lens, view, (PAPER,), name, rays)
     for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
         warnings.warn(f"rank: {sentence}", stacklevel=4)
-    ranks = report.ranked(correct)
+    ranks = report.rank_lenses(correct)
     rows, drawings = [], {}
     for place in ranks:
         lens, view = lenses[place.lens]

@@ -1,1 +1,1 @@
-"""Captures of a whole sensor with PSFs that vary over the field."""
+"""Captures: images blurred by PSFs, noise and quantisation of a sensor, and a whole sensor whose PSFs vary."""

@@ -107,10 +107,10 @@ class PsfCamera:
             captures.append(output.flatten(1, 2)[:, : len(block)])
         output = captures[0] if len(captures) == 1 else torch.cat(captures, 1)
         if self.sensor is None:
-            return self._developed(output)
+            return self._develop(output)
         illumination = self.illumination[list(fields), None].expand(output.shape[:2])
         sample = noise(output.transpose(0, 1).shape, generator or torch.default_generator).transpose(0, 1)
-        return self._developed(output, illumination, sample)
+        return self._develop(output, illumination, sample)
 
     @torch.compiler.disable
     @explained
@@ -148,9 +148,9 @@ class PsfCamera:
         captures = self._render(images[order].unflatten(0, (-1, 2)), runs).flatten(0, 1)
         position = {image: place for place, image in enumerate(order)}
         output = captures[[position[image] for image in range(len(images))]]
-        return self._developed(output, self.illumination[send(fields, output.device)], sample)
+        return self._develop(output, self.illumination[send(fields, output.device)], sample)
 
-    def _developed(self, output: Tensor, illumination: Tensor | None = None, sample: Tensor | None = None) -> Tensor:
+    def _develop(self, output: Tensor, illumination: Tensor | None = None, sample: Tensor | None = None) -> Tensor:
         """Return the sRGB values of convolved images: as they are, encoded, or exposed and quantised by the sensor."""
         if self.sensor is None:
             return linear_rgb_to_rgb(output) if self.linear else output

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tasklens.cli.lens_options import Seed
-from tasklens.cli.network_options import NetworkOptions, PhotographOptions, nested
+from tasklens.cli.network_options import NetworkOptions, PhotographOptions, parse_settings
 from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
@@ -176,8 +176,8 @@ def design(
         method=method.method,
         elements=elements and elements.split(","),
         seed=method.seed,
-        settings=nested(method.settings or (), "--set"),
-        constraints=nested(method.limits or (), "--limit"),
+        settings=parse_settings(method.settings or (), "--set"),
+        constraints=parse_settings(method.limits or (), "--limit"),
         catalogues=catalogue or (),
         images=photographs.images,
         size=photographs.size,

@@ -65,13 +65,13 @@ class NetworkOptions:
         return {
             "model": self.network,
             "outputs": self.outputs,
-            "arguments": nested(self.argument or (), "--argument"),
+            "arguments": parse_settings(self.argument or (), "--argument"),
             "weights": None if self.weights is None else str(self.weights),
             "pretrained": self.pretrained,
         }
 
 
-def nested(texts: Sequence[str], option: str) -> dict[str, Any]:
+def parse_settings(texts: Sequence[str], option: str) -> dict[str, Any]:
     """Return settings KEY=VALUE as nested mappings: a.b=1 is {"a": {"b": 1}}; raises InputError."""
     settings: dict[str, Any] = {}
     for assignment in texts:

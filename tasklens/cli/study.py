@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from tasklens.cli.network_options import nested
+from tasklens.cli.network_options import parse_settings
 from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.runtime.errors import InputError
@@ -99,7 +99,7 @@ def new(
         seeds=answers.of("seeds", "Seeds", 1),
         weights=own_network.weights,
         outputs=own_network.outputs,
-        arguments=nested(own_network.argument or (), "--argument"),
+        arguments=parse_settings(own_network.argument or (), "--argument"),
     )
     own_network.check()
     minutes = answers.of("minutes", "Time to spend [minutes]", 30.0)

@@ -39,7 +39,7 @@ class _Result:
     labels: tuple[str, ...] = ()
 
 
-def _ranked(
+def _rank(
     results: Sequence[_Result],
     part: DescentSettings,
     following: DescentSettings,
@@ -112,7 +112,7 @@ def design(
             history += rows
             results.append(_Result(lens, descent.objective, descent.least, (*parent.labels, label)))
         following = settings.descents[k] if k < len(settings.descents) else part
-        lenses = _ranked(results, part, following, objective)
+        lenses = _rank(results, part, following, objective)
     best = lenses[0]
     assert best.objective is not None  # there is a descent
     lens, loss, labels, trained = best.lens, best.least[1], best.labels, best.objective.criterion.trained

@@ -60,11 +60,11 @@ def improve(
     changes = variables.directions(start)
     latest: dict = {}  # scipy evaluates derivatives only at the vector of the latest residuals
 
-    def assembled(vector: numpy.ndarray) -> Lens:
+    def assemble(vector: numpy.ndarray) -> Lens:
         return variables.assemble_vector(list(start), torch.from_numpy(vector))
 
     def residuals(vector: numpy.ndarray) -> numpy.ndarray:
-        errors, columns = merit.linearise(assembled(vector))
+        errors, columns = merit.linearise(assemble(vector))
         watch(float(errors.norm()))
         if enough_um and merit.spot_um(errors) < enough_um and float(errors[merit.rays :].norm()) < _NEARLY_KEPT_UM:
             latest["enough"] = vector.copy()
@@ -89,10 +89,10 @@ def improve(
         sharp, blurred = latest["enough"], latest.get("vector", latest["enough"])
         for _ in range(_BISECTIONS):
             middle = (sharp + blurred) / 2
-            is_sharp = merit.spot_um(merit.residuals(assembled(middle))) < enough_um
+            is_sharp = merit.spot_um(merit.residuals(assemble(middle))) < enough_um
             sharp, blurred = (middle, blurred) if is_sharp else (sharp, middle)
-        return assembled(sharp), float(merit.residuals(assembled(sharp)).norm())
-    return assembled(result.x), float((2 * result.cost) ** 0.5)
+        return assemble(sharp), float(merit.residuals(assemble(sharp)).norm())
+    return assemble(result.x), float((2 * result.cost) ** 0.5)
 
 
 Candidate = tuple[float, int, Lens]  # root-sum-square residual [um], number of its start, lens
@@ -131,7 +131,7 @@ class _Search:
         """Improve a candidate by basin hopping: perturb and improve repeatedly, and keep better lenses."""
         best, _, lens = candidate
         for _ in range(max(1, budget // _PERTURBATION_EVALUATIONS)):
-            perturbed = _perturbed(lens, self.rng)
+            perturbed = _perturb(lens, self.rng)
             trial, error = self.improve(perturbed, self.merit, _STAGES[-1][1], _PERTURBATION_EVALUATIONS)
             if error < best:
                 best, lens = error, trial
@@ -211,7 +211,7 @@ def design(
     return lens, [{"step": step, **row} for step, row in enumerate(rows, 1)]
 
 
-def _perturbed(lens: Lens, rng: numpy.random.Generator) -> Lens:
+def _perturb(lens: Lens, rng: numpy.random.Generator) -> Lens:
     """Perturb about 40 % of the variables by 1.5 to 15 % of their mean magnitude (standard deviation)."""
     variables = Variables.plain(lens)
     size = rng.uniform(0.015, 0.15)

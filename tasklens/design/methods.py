@@ -19,7 +19,7 @@ from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.variables import with_coefficients
 from tasklens.optics.analysis.datasheet import figures, means
-from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
@@ -133,7 +133,7 @@ def _imported(
         network = frozen(classifier, problem.dataset.images, "stored")
         focused = focused_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
     elif by != "file":
-        focused = refocused(lens, problem.view, by)
+        focused = refocus(lens, problem.view, by)
     origin = {"design": plan.entry.design_name, "method": "file"} | details
     origin["image_plane_shift_mm"] = float(focused.thickness[-1] - lens.thickness[-1])
     pupil = torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)])

@@ -3,7 +3,7 @@
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
-from tasklens.optics.analysis.focus import refocused, shifted
+from tasklens.optics.analysis.focus import move_image_plane, refocus
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 
@@ -20,7 +20,7 @@ def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
     The search begins at the peak of the MTF, moves on while the best plane is the outermost, and ends with finer steps.
     """
     objective = Objective(loss, problem, None, False, _MICRO_BATCH, "chief_ray")
-    start = refocused(lens, problem.view)
+    start = refocus(lens, problem.view)
     pixel = float(paraxial(lens.detached(), problem.view.reference_um).f_number) * 1e-3 * problem.view.pixel_pitch_um
     losses: dict[float, float] = {}
 
@@ -29,7 +29,7 @@ def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
         for k in range(-planes, planes + 1):
             shift = round(centre + k * blur * pixel, 9)
             if shift not in losses:
-                losses[shift] = float(objective.fixed_losses(shifted(start, shift), 1.0, _IMAGES).mean())
+                losses[shift] = float(objective.fixed_losses(move_image_plane(start, shift), 1.0, _IMAGES).mean())
         return min(losses, key=lambda shift: losses[shift])
 
     best = best_plane(0.0, *_COARSE)
@@ -37,4 +37,4 @@ def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
         if min(losses) < best < max(losses):
             break
         best = best_plane(best, *_COARSE)
-    return shifted(start, best_plane(best, *_FINE))
+    return move_image_plane(start, best_plane(best, *_FINE))

@@ -179,7 +179,7 @@ class Objective:
         error_list = errors(replace(design, semi_diameter=radii), self.grade)
         peak = focus.peak(lens, view)
         lenses = [with_errors(lens, error_list, sample, view.reference_um) for sample in draw(error_list, count, seed)]
-        return [focus.focused(built_lens, view, peak)[0] for built_lens in lenses]
+        return [focus.focus_built(built_lens, view, peak)[0] for built_lens in lenses]
 
     def trace(self, lens: Lens, view: View, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""

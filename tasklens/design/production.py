@@ -45,7 +45,9 @@ class Production:
 
     def build(self, fractions: Tensor, peak: Tensor) -> tuple[Lens, Tensor]:
         """Build a lens with errors (P,) [fractions of tolerances]; return it focused, and its focus shift [mm]."""
-        return focus.focused(with_errors(self.lens, self.errors, fractions, self.view.reference_um), self.view, peak)
+        return focus.focus_built(
+            with_errors(self.lens, self.errors, fractions, self.view.reference_um), self.view, peak
+        )
 
     def accuracy(self, lens: Lens, images: Images) -> tuple[Tensor, float]:
         """Return the accuracy (F,) of each field [%], and the mean cross-entropy."""

@@ -38,7 +38,7 @@ def random_starts(flat: Lens, view: View, limits: Constraints, count: int, rng: 
         state, count_before = rng.bit_generator.state, len(lenses)
         samples = low + (high - low) * rng.random((_BLOCK, len(low)))
         for k in numpy.flatnonzero(_possible(samples, flat, view, limits, steepest)):
-            lens = _focused(samples[k], flat, view, limits, steepest)
+            lens = _focus(samples[k], flat, view, limits, steepest)
             if lens is not None:
                 lenses.append(lens)
             if len(lenses) == count:
@@ -76,7 +76,7 @@ def _possible(samples: ndarray, flat: Lens, view: View, limits: Constraints, ste
     ).numpy()
 
 
-def _focused(sample: ndarray, flat: Lens, view: View, limits: Constraints, steepest: float) -> Lens | None:
+def _focus(sample: ndarray, flat: Lens, view: View, limits: Constraints, steepest: float) -> Lens | None:
     """Return the focused lens of sampled curvatures and thicknesses (N,); None if it is beyond the limits."""
     surfaces = list(flat.refracting_surfaces)
     curvature, thickness = flat.curvature.clone(), flat.thickness.clone()

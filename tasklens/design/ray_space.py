@@ -121,7 +121,7 @@ def repair(lens: Lens, view: View, limits: Constraints, free: Free | None = None
     """
     radii = limit_semi_diameters(lens, view)
     if worst_margin(limit_margins(lens, limits, view, torch.minimum(radii, lens.semi_diameter)))[1] < 0:
-        lens = _repaired(lens, view, limits, free)
+        lens = _repair(lens, view, limits, free)
         radii = limit_semi_diameters(lens, view)
     return lens, radii
 
@@ -131,7 +131,7 @@ def as_saved(lens: Lens, view: View, limits: Constraints, free: Free | None = No
     return with_clear_apertures(*repair(lens, view, limits, free))
 
 
-def _repaired(lens: Lens, view: View, limits: Constraints, free: Free | None) -> Lens:
+def _repair(lens: Lens, view: View, limits: Constraints, free: Free | None) -> Lens:
     """Minimise the violation by steps; each is shortened until it reduces the violation.
 
     The range in which a lens is nearly linear differs between lenses. If no short step reduces the violation, for

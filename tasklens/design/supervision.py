@@ -96,7 +96,7 @@ def supervision(
     if user.network is not None and (user.task is None or hasattr(network, "pretrained_cfg")):
         network = classifiers.of_user(network)
     elif user.network is not None:
-        network = classifiers.copied(network)
+        network = classifiers.copy_network(network)
     network = network.to(device)
     trained = any(part.trains_network for entry in entries for part in entry.descents)
     if trained and not any(parameter.requires_grad for parameter in network.parameters()):

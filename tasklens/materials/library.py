@@ -157,8 +157,8 @@ def user_files() -> list[Path]:
 def nearest(nd: float, vd: float) -> Material:
     """Return the glass of the makers nearest to nd and Vd: one unit of Vd counts as much as 0.005 of nd."""
     glasses = [glass for maker in _MAKERS for glass in of_maker(maker).values()]
-    return min(glasses, key=lambda glass: math.dist(_scaled(*glass.abbe()), _scaled(nd, vd)))
+    return min(glasses, key=lambda glass: math.dist(_scale(*glass.abbe()), _scale(nd, vd)))
 
 
-def _scaled(nd: float, vd: float) -> tuple[float, float]:
+def _scale(nd: float, vd: float) -> tuple[float, float]:
     return nd / 0.005, vd

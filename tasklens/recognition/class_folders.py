@@ -108,10 +108,12 @@ def classes(split: Path, least: int = 2) -> list[str]:
     for name in [*sorted({*inside} - {*links}), *links] if links else []:
         if (same := classes_at.setdefault((split / name).resolve(), name)) != name:
             raise FileError(f"{split}: {name} is a link to the folder of the class {same}; remove it")
-    if len(inside) > len({composed(name) for name in inside}):
-        duplicate = next(name for name in inside if sum(composed(name) == composed(other) for other in inside) > 1)
+    if len(inside) > len({compose_letters(name) for name in inside}):
+        duplicate = next(
+            name for name in inside if sum(compose_letters(name) == compose_letters(other) for other in inside) > 1
+        )
         raise FileError(f"{split}: two folders are called {duplicate}, with letters composed in two ways; merge them")
-    return sorted(inside, key=composed)
+    return sorted(inside, key=compose_letters)
 
 
 def _has_splits(folder: Path) -> bool:
@@ -124,7 +126,7 @@ def _has_splits(folder: Path) -> bool:
     return has_split(_TRAIN) and has_split(_TEST)
 
 
-def composed(name: str) -> str:
+def compose_letters(name: str) -> str:
     """Return a name in composed Unicode (NFC), which most systems use; macOS decomposes letters."""
     return unicodedata.normalize("NFC", name)
 
@@ -232,7 +234,7 @@ def no_image(folder: Path) -> FileError:
 
 def same_classes(folder: Path, train: Sequence[str], test: Sequence[str]) -> None:
     """Raise FileError if the classes of two splits differ."""
-    if differences := sorted(set(map(composed, train)) ^ set(map(composed, test))):
+    if differences := sorted(set(map(compose_letters, train)) ^ set(map(compose_letters, test))):
         raise FileError(f"{folder}: train and test have different classes: {', '.join(differences)}")
 
 

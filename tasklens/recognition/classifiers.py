@@ -80,7 +80,7 @@ class Classifier(nn.Module):
         return logits if self.outputs is None else logits[:, self.outputs]
 
 
-def copied(network: _Network) -> _Network:
+def copy_network(network: _Network) -> _Network:
     """Return a copy of a user's network; raises InputError."""
     try:
         return copy.deepcopy(network)
@@ -96,7 +96,7 @@ def of_user(network: nn.Module) -> Classifier:
     Raises:
         InputError: the network cannot be copied.
     """
-    classifier = Classifier(copied(network))
+    classifier = Classifier(copy_network(network))
     if hasattr(network, "pretrained_cfg"):
         mean, std = (
             [round(float(value), 4) for value in values.flatten()] for values in (classifier.mean, classifier.std)

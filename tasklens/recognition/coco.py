@@ -15,7 +15,7 @@ import torch
 from PIL import Image, ImageOps
 
 from tasklens.recognition import folders
-from tasklens.recognition.objects import ObjectDataset, packed
+from tasklens.recognition.objects import ObjectDataset, pack
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
 
@@ -73,7 +73,7 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
             if int(visible.sum()) >= _LEAST_PIXELS:
                 owners.append(k)
                 labels.append(classes[annotation["category_id"]])
-                masks.append(packed(visible[None]))
+                masks.append(pack(visible[None]))
         progress(k + 1)
     missing = [names[identity] for identity, label in classes.items() if label not in set(labels)]
     if missing:

@@ -77,8 +77,8 @@ def _splits(images: ImageSettings) -> tuple[ImageDataset | folders.Listing, ...]
     test: ImageDataset | folders.Listing
     if images.folder is None:
         assert images.train is not None and images.test is not None  # rendered images need counts
-        pool = _rendered(images.train + images.minival, 2 * images.seed, images)
-        test = _rendered(images.test, 2 * images.seed + 1, images)
+        pool = _render(images.train + images.minival, 2 * images.seed, images)
+        test = _render(images.test, 2 * images.seed + 1, images)
     elif not class_folders.is_split(images.folder):
         return _cut(images, folders.find(images.folder, None, images.seed))
     else:
@@ -118,13 +118,13 @@ def training_images(images: ImageSettings, path: Path, *, device: torch.device =
     """
     if images.folder is None:
         assert images.train is not None  # rendered images need counts
-        return replace(_rendered(images.train, 2 * images.seed, images), device=device)
+        return replace(_render(images.train, 2 * images.seed, images), device=device)
     listing = folders.find(class_folders.train_folder(images.folder), images.train, images.seed, least=1)
     folders.convert(listing, images.size, path, torch.get_num_threads())
     return ImageDataset(map_array(path), listing.labels, listing.classes, device)
 
 
-def _rendered(count: int, seed: int, images: ImageSettings) -> ImageDataset:
+def _render(count: int, seed: int, images: ImageSettings) -> ImageDataset:
     from tasklens.recognition import scenes
 
     with single_thread():  # the same images on any number of cores

@@ -47,12 +47,12 @@ class CapturePipeline:
     def one_field(self, images: Tensor, generator: torch.Generator) -> Tensor:
         """Return captures of images (B, 3, H, W) in [0, 1] at random fields of one part, for training."""
         if self.camera is None:
-            return self._restored(images)
+            return self._restore(images)
         count = len(self.camera.psf) // self.turns
         first = count * int(torch.randint(self.turns, (), generator=generator)) if self.turns > 1 else 0
         fields = first + torch.randint(count, (len(images),), generator=generator)
         pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)
-        return self._restored(self.camera(images, fields, pixel_noise))
+        return self._restore(self.camera(images, fields, pixel_noise))
 
     def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:
         """Return captures (F, B, 3, H, W) of images (B, 3, H, W) in [0, 1] at all fields; F = 1 without a camera.
@@ -70,9 +70,9 @@ class CapturePipeline:
             captures = images.new_empty(sets.shape[1], *images.shape)
             for turn, fields in enumerate(sets[: len(images)].tolist()):
                 captures[:, turn :: self.turns] = self.camera.all_fields(images[turn :: self.turns], generator, fields)
-        return torch.stack([self._restored(field) for field in captures])
+        return torch.stack([self._restore(field) for field in captures])
 
-    def _restored(self, captures: Tensor) -> Tensor:
+    def _restore(self, captures: Tensor) -> Tensor:
         if self.restoration is None:
             return captures
         with torch.no_grad():
@@ -124,9 +124,9 @@ def evaluate(
         evaluations.append(Evaluation(*(answer.cpu() for answer in answers)))
         progress(step)
         if checkpoint.due():
-            evaluations = [_joined(evaluations)]
+            evaluations = [_join(evaluations)]
             part.save(step, **vars(evaluations[0]))
-    result = _joined(evaluations)
+    result = _join(evaluations)
     part.finish(**vars(result))
     return result
 
@@ -149,7 +149,7 @@ def classify(classifier: Callable[[Tensor], Tensor], captures: Tensor, labels: T
     return logits.argmax(-1) == labels, among_all, losses.reshape(logits.shape[:2])
 
 
-def _joined(evaluations: Sequence[Evaluation]) -> Evaluation:
+def _join(evaluations: Sequence[Evaluation]) -> Evaluation:
     """Concatenate the results of batches."""
     return Evaluation(
         *(torch.cat(values, -1) for values in zip(*(vars(part).values() for part in evaluations), strict=True))

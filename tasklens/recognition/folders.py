@@ -65,7 +65,7 @@ def find(split: Path, limit: int | None, seed: int, least: int = 2) -> Listing:
     return Listing(
         tuple(file for _, _, file in selection),
         torch.tensor([k for _, k, _ in selection]),
-        tuple(map(class_folders.composed, classes)),
+        tuple(map(class_folders.compose_letters, classes)),
     )
 
 

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from tasklens.recognition import scenes
-from tasklens.recognition.objects import ObjectDataset, packed
+from tasklens.recognition.objects import ObjectDataset, pack
 
 MOST = 4  # maximum objects per scene
 _AREA = (0.05, 0.2)  # range of an object's fraction of the image, before occlusion
@@ -75,5 +75,5 @@ def render(count: int, size: int, seed: int, periods: tuple[float, float] = (5.0
         images.append(chunk[0])
         owners.append(chunk[1] + first)
         labels.append(chunk[2])
-        masks.append(packed(chunk[3]))
+        masks.append(pack(chunk[3]))
     return ObjectDataset(torch.cat(images), torch.cat(owners), torch.cat(labels), torch.cat(masks), scenes.CLASSES)

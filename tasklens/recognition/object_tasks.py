@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from tasklens.recognition import objects, task_networks
 from tasklens.recognition.objects import ObjectDataset
-from tasklens.recognition.scores import Detections, average_precision, encoded, mean_iou
+from tasklens.recognition.scores import Detections, average_precision, encode, mean_iou
 from tasklens.recognition.tasks import Task
 from tasklens.settings.task_settings import TaskSettings
 
@@ -95,7 +95,7 @@ class Detection(ObjectTask):
             in_set = is_class.any(1)  # published networks have other classes too
             classes = is_class[in_set].int().argmax(1)
             detections.append(
-                Detections(boxes[in_set], classes, scores[in_set], None if masks is None else encoded(masks[in_set]))
+                Detections(boxes[in_set], classes, scores[in_set], None if masks is None else encode(masks[in_set]))
             )
         return detections
 
@@ -104,7 +104,7 @@ class Detection(ObjectTask):
         truth = []
         for index in labels.tolist():
             classes, masks = self.dataset.objects_of(index)
-            truth.append(Detections(objects.boxes(masks), classes, None, encoded(masks)))
+            truth.append(Detections(objects.boxes(masks), classes, None, encode(masks)))
         values: dict[str, float] = {}
         for by in ("mask", "box") if self.with_masks else ("box",):
             values |= {

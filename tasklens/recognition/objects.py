@@ -39,7 +39,7 @@ class ObjectDataset:
     def objects_of(self, image: int) -> tuple[Tensor, Tensor]:
         """Return the labels (K,) of the objects of an image, and their masks (K, H, W) bool."""
         first, last = torch.searchsorted(self.owner, torch.tensor([image, image + 1])).tolist()
-        return self.labels[first:last], unpacked(self.masks[first:last], self.images.shape[-2:])
+        return self.labels[first:last], unpack(self.masks[first:last], self.images.shape[-2:])
 
     def batch(self, indices: Tensor) -> Tensor:
         """Return images (B, 3, H, W) in [0, 1], float32, on the device."""
@@ -50,12 +50,12 @@ class ObjectDataset:
         return ImageDataset(self.images, torch.arange(len(self.images)), self.classes, self.device)
 
 
-def packed(masks: Tensor) -> Tensor:
+def pack(masks: Tensor) -> Tensor:
     """Pack masks (M, H, W) bool into (M, H W / 8) uint8; H W must be a multiple of 8."""
     return torch.from_numpy(numpy.packbits(masks.numpy().reshape(len(masks), -1), axis=1))
 
 
-def unpacked(bits: Tensor, size: Sequence[int]) -> Tensor:
+def unpack(bits: Tensor, size: Sequence[int]) -> Tensor:
     """Unpack masks (M, H W / 8) uint8 into (M, H, W) bool."""
     return torch.from_numpy(numpy.unpackbits(bits.numpy(), axis=1)).bool().reshape(len(bits), *size)
 

@@ -43,7 +43,7 @@ class Detections:
     masks: Sequence[Mapping[str, Any]] | None = None
 
 
-def encoded(masks: Tensor) -> list[dict[str, Any]]:
+def encode(masks: Tensor) -> list[dict[str, Any]]:
     """Encode masks (K, H, W) bool as run lengths with pycocotools: a hundredth of the memory."""
     from pycocotools import mask as encoding
 

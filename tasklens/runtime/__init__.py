@@ -1,1 +1,1 @@
-"""Infrastructure of jobs: files, checkpoints, devices, process groups, progress."""
+"""Infrastructure of jobs: files, checkpoints, devices, progress."""

@@ -146,12 +146,12 @@ def lens_settings(
         "plastics": _plastics(elements, materials),
         "network": classifier,
     }
-    result = _validated(content | {"designs": designs})
+    result = _validate(content | {"designs": designs})
     _check_method(method, result.designs[method])
     if baselines:
         last = designs.pop(method)
         others = {criterion: _with_criterion(criterion, last) for criterion in baselines}
-        result = _validated(content | {"designs": designs | others | {method: last}})
+        result = _validate(content | {"designs": designs | others | {method: last}})
     entries = [plan.entry for plan in result.plans(0).values()]
     given, guided = classifier is not None or network_given, any(entry.by_network for entry in entries)
     if guided and not given:
@@ -163,7 +163,7 @@ def lens_settings(
     return result
 
 
-def _validated(content: Mapping[str, Any]) -> LensSettings:
+def _validate(content: Mapping[str, Any]) -> LensSettings:
     try:
         settings = LensSettings.model_validate(content)
         check_plain({key: content[key] for key in ("spec", "constraints", "designs")}, "")

@@ -40,7 +40,7 @@ class Rank:
     by_field: tuple[float, ...]
 
 
-def ranked(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
+def rank_lenses(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
     """Rank lenses by accuracy, and group lenses that the photographs cannot tell apart.
 
     A group begins with the best lens that has no group yet. It ends before the first lens that is significantly less

@@ -135,11 +135,11 @@ class Study(Frozen):
     def variant(self, name: str, variant: str) -> LensEntry:
         """Return the lens of a variant of the ablation `name`; raises ValueError."""
         ablation = self.ablations[name]
-        return variant_entry(self._designed(ablation.elements, ablation.design), self.capture, name, ablation, variant)
+        return variant_entry(self._design(ablation.elements, ablation.design), self.capture, name, ablation, variant)
 
     def spec_of(self, elements: str) -> Spec:
         """Return the specification of some elements: `spec` changed by their entry in `specs`; raises ValueError."""
-        return _changed(self.spec, self.specs.get(elements, {}), f"specs.{elements}")
+        return _change(self.spec, self.specs.get(elements, {}), f"specs.{elements}")
 
     def lens_spec(self, lens: str) -> Spec:
         """Return the specification of a lens: that of its elements, changed by the `spec` of an imported lens."""
@@ -147,7 +147,7 @@ class Study(Frozen):
         spec = self.spec_of(entry.elements)
         if not isinstance(entry.design, ImportedLens):
             return spec
-        return _changed(spec, entry.design.spec, f"imported.{entry.design_name}.spec")
+        return _change(spec, entry.design.spec, f"imported.{entry.design_name}.spec")
 
     def capture_of(self, lens: str) -> CaptureSettings:
         """Return the capture settings of a lens: `capture`, unless an ablation changes it; raises StudyError."""
@@ -164,7 +164,7 @@ class Study(Frozen):
     @property
     def lenses(self) -> dict[str, LensEntry]:
         """All lenses by name, `{elements}-{design}`; imported lenses last."""
-        entries = [self._designed(elements, name) for elements in self.elements for name in self.designs]
+        entries = [self._design(elements, name) for elements in self.elements for name in self.designs]
         return {lens.name: lens for lens in entries} | {
             f"{lens.elements}-{name}": LensEntry(
                 name=f"{lens.elements}-{name}", elements=lens.elements, plastics=(), design_name=name, design=lens
@@ -172,7 +172,7 @@ class Study(Frozen):
             for name, lens in self.imported.items()
         }
 
-    def _designed(self, elements: str, design: str) -> LensEntry:
+    def _design(self, elements: str, design: str) -> LensEntry:
         settings = self.designs[design]
         return LensEntry(
             name=f"{elements}-{design}",
@@ -192,7 +192,7 @@ class Study(Frozen):
         """Return the lens `name`; raises StudyError with the known names."""
         elements, _, design = name.partition("-")
         if elements in self.elements and design in self.designs:
-            return self._designed(
+            return self._design(
                 elements, design
             )  # builds no other lens: planning calls this tens of thousands of times
         return pick(self.lenses | self.variants, name, "lens")
@@ -221,7 +221,7 @@ def pick(entries: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
     return entries[name]
 
 
-def _changed(spec: Spec, changes: Mapping[str, Any], where: str) -> Spec:
+def _change(spec: Spec, changes: Mapping[str, Any], where: str) -> Spec:
     """Return a specification with changed keys, which the user's file has at `where`; raises ValueError."""
     try:
         return Spec.model_validate(spec.model_dump(exclude_computed_fields=True) | dict(changes))

@@ -31,7 +31,7 @@ def unrecorded():
     jobs = {}
     for job in all_jobs():
         jobs.setdefault(job.study, []).append(job)
-    return "\n\n".join(filter(None, (changes.unrecorded(study_named(name), jobs[name]) for name in jobs)))
+    return "\n\n".join(filter(None, (changes.find_unrecorded(study_named(name), jobs[name]) for name in jobs)))
 
 
 def words_of_dry_run():
@@ -43,7 +43,7 @@ def words_of_dry_run():
 
 def overwritten(planned):
     """Return the finished results that the planned jobs of each study overwrite."""
-    return {name: changes.overwritten(study_named(name), jobs) for name, jobs in planned.items()}
+    return {name: changes.find_overwritten(study_named(name), jobs) for name, jobs in planned.items()}
 
 
 def refusals(overwritten):

@@ -116,10 +116,10 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
         cos_before = (n - m * across * y) * cosine
         cos_behind = torch.sqrt(1 - (index[i] / index[i + 1]) ** 2 * (1 - cos_before.square()))
         strength = index[i + 1] * cos_behind - index[i] * cos_before
-        h, w = _moved(tangential, distance)
+        h, w = _move(tangential, distance)
         w = (index[i] * w * cos_before / cos_behind - h * along * strength / (cos_before * cos_behind)) / index[i + 1]
         tangential = (h * cos_behind / cos_before, w)
-        h, w = _moved(sagittal, distance)
+        h, w = _move(sagittal, distance)
         sagittal = (h, (index[i] * w - h * across * cosine * strength) / index[i + 1])
         # Snell's law as vectors: n' D' = n D + K N, with the normal N = (-s', 1) / sqrt(1 + s'^2)
         m = (index[i] * m - strength * across * y * cosine) / index[i + 1]
@@ -127,7 +127,7 @@ def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:
         z = z - lens.thickness[i]
 
     def focus(ray: tuple[Tensor, Tensor]) -> Tensor:
-        h, w = _moved(ray, -z / n)
+        h, w = _move(ray, -z / n)
         distances = torch.full(arrives.shape, torch.nan, dtype=lens.dtype)
         return distances.masked_scatter(arrives, -h / w * n)
 
@@ -146,7 +146,7 @@ def _distance(lens: Lens, surface: int, height: Tensor, ray: tuple[Tensor, ...])
     return (s + steepness * (y - height) - z) / (n - steepness * m)
 
 
-def _moved(ray: tuple[Tensor, Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:
+def _move(ray: tuple[Tensor, Tensor], distance: Tensor) -> tuple[Tensor, Tensor]:
     h, w = ray
     return h + w * distance, w
 

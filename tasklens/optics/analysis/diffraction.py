@@ -57,8 +57,8 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
     amplitude = torch.sqrt(math.pi * waves.determinant) * waves.weight / wavelength
     field_there = torch.zeros(len(y), len(x), dtype=torch.complex64)
     for block in torch.arange(len(amplitude)).split(_BLOCK):
-        along_x = _turned(x[:, None] * waves.l[block] / wavelength) * amplitude[block].float()
-        along_y = _turned((y[:, None] * waves.m[block] + waves.length[block]) / wavelength)
+        along_x = _turn(x[:, None] * waves.l[block] / wavelength) * amplitude[block].float()
+        along_y = _turn((y[:, None] * waves.m[block] + waves.length[block]) / wavelength)
         field_there += along_y @ along_x.T
     return field_there.abs().square().double()
 
@@ -149,7 +149,7 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int) -> _Wav
     return _Waves(x, y, l[0], m[0], length, determinant.abs(), weight).chosen(valid)
 
 
-def _turned(cycles: Tensor) -> Tensor:
+def _turn(cycles: Tensor) -> Tensor:
     """Compute exp(2 pi i cycles), in single precision from the fraction of a cycle."""
     angle = (2 * math.pi * (cycles - cycles.round())).float()
     return torch.complex(angle.cos(), angle.sin())

@@ -29,7 +29,7 @@ _RAYS = 256  # per field and colour, for the MTF
 _SPOT_RAYS = 1024  # for the spot
 
 
-def refocused(lens: Lens, view: View, by: Literal["mtf", "spot"] = "mtf") -> Lens:
+def refocus(lens: Lens, view: View, by: Literal["mtf", "spot"] = "mtf") -> Lens:
     """Refocus a lens to the peak of its MTF, or to its smallest spot: the mean over fields of the RMS radius.
 
     The smallest spot is also where the search for the peak begins. Fields without light are left out.
@@ -41,11 +41,11 @@ def refocused(lens: Lens, view: View, by: Literal["mtf", "spot"] = "mtf") -> Len
     if not lit.any():
         raise InputError("no ray of any field reaches the image; correct the apertures, or the fields")
     view = replace(view, fields=view.fields[lit])
-    lens = shifted(lens, _smallest_spot(lens, view))
-    return shifted(lens, float(peak(lens.detached(), view))) if by == "mtf" else lens
+    lens = move_image_plane(lens, _smallest_spot(lens, view))
+    return move_image_plane(lens, float(peak(lens.detached(), view))) if by == "mtf" else lens
 
 
-def shifted(lens: Lens, shift: Tensor | float) -> Lens:
+def move_image_plane(lens: Lens, shift: Tensor | float) -> Lens:
     """Move the image plane of a lens away from it by `shift` [mm]."""
     thickness = lens.thickness.clone()
     thickness[-1] += shift
@@ -121,7 +121,7 @@ def through_focus(lens: Lens, view: View, first: float, step: float, count: int)
     return torch.stack(moduli)
 
 
-def focused(lens: Lens, view: View, nominal_peak: Tensor) -> tuple[Lens, Tensor]:
+def focus_built(lens: Lens, view: View, nominal_peak: Tensor) -> tuple[Lens, Tensor]:
     """Focus a built lens so that its MTF peaks at the same distance from its image plane as the design's.
 
     Args:
@@ -133,7 +133,7 @@ def focused(lens: Lens, view: View, nominal_peak: Tensor) -> tuple[Lens, Tensor]
         The lens, and the shift of its image plane [mm]; both are differentiable in both lenses.
     """
     shift = peak(lens, view) - nominal_peak
-    return shifted(lens, shift), shift
+    return move_image_plane(lens, shift), shift
 
 
 def frequency(view: View) -> float:

@@ -2,7 +2,7 @@
 
 import math
 
-from tasklens.optics.analysis.focus import refocused, shifted
+from tasklens.optics.analysis.focus import move_image_plane, refocus
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -11,7 +11,7 @@ from tasklens.runtime.errors import InputError
 _BY = {"mtf": "the peak of the MTF", "spot": "the smallest mean RMS spot"}
 
 
-def placed(lens: Lens, view: View, own_distance: float, focus: str | float | None) -> tuple[Lens, list[str]]:
+def place_image_plane(lens: Lens, view: View, own_distance: float, focus: str | float | None) -> tuple[Lens, list[str]]:
     """Place the image plane of a lens, and say so if it moves.
 
     Args:
@@ -28,13 +28,13 @@ def placed(lens: Lens, view: View, own_distance: float, focus: str | float | Non
     if criterion not in ("file", *_BY) or not math.isfinite(by_shift):
         raise InputError(f"focus {focus} (--focus): expected micrometres, such as -10, or file, mtf or spot")
     if criterion == "file":
-        return shifted(lens, 1e-3 * by_shift) if by_shift else lens, []
+        return move_image_plane(lens, 1e-3 * by_shift) if by_shift else lens, []
     if focus is not None:
         check_focal_length(lens, view.reference_um, f"--focus {focus} needs")
-    focused = refocused(lens, view, "spot" if criterion == "spot" else "mtf")
+    focused = refocus(lens, view, "spot" if criterion == "spot" else "mtf")
     remark = f"image plane {1e3 * float(focused.thickness[-1] - lens.thickness[-1]):+.1f} um, to {_BY[criterion]}"
     if moved:
         own = "infinity" if math.isinf(own_distance) else f"{own_distance:g} mm"
         requested = f"{1 / view.object_vergence:g} mm" if view.object_vergence else "infinity"
         remark = f"object at {own} in the file: refocused for {requested}: {remark}"
-    return shifted(focused, 1e-3 * by_shift), [remark]
+    return move_image_plane(focused, 1e-3 * by_shift), [remark]

@@ -16,7 +16,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop
 from tasklens.optics.io import consistency, prescription, zemax
 from tasklens.optics.io.fields import field_tangents
-from tasklens.optics.io.image_plane import placed
+from tasklens.optics.io.image_plane import place_image_plane
 from tasklens.optics.io.light import light_remarks
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
@@ -84,7 +84,7 @@ def read(
         configuration: of a .zmx file with several; None: the one in which it was saved.
         wavelengths_um: wavelengths that replace those of the file; the middle one is the reference [um].
         field_of_view_deg, f_number, pixel_pitch_um, kernel_size: values of `Spec` that replace those of the file.
-        focus: place of the image plane, as in `image_plane.placed`.
+        focus: place of the image plane, as in `image_plane.place_image_plane`.
 
     Raises:
         InputError: an object distance that is not positive.
@@ -100,7 +100,7 @@ def read(
     source, content = read_prescription(path, catalogues, configuration)
     try:
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
-        changes = _validated(
+        changes = _validate(
             {
                 "field_of_view_deg": field_of_view_deg,
                 "f_number": f_number,
@@ -112,10 +112,10 @@ def read(
         if changes or wavelengths or object_distance_mm is not None or focus is not None:
             content = without_figures(content)
         if "spec" in content:
-            lens_file = _specified(source, content, changes, wavelengths, 1 / distance, str(path), focus)
+            lens_file = _specify(source, content, changes, wavelengths, 1 / distance, str(path), focus)
         else:
             check_stop(source.lens)
-            lens_file = derived(source, changes, wavelengths, 1 / distance, focus)
+            lens_file = derive_specification(source, changes, wavelengths, 1 / distance, focus)
         return replace(
             lens_file, remarks=(*source.remarks, *lens_file.remarks, *light_remarks(lens_file.lens, lens_file.view))
         )
@@ -130,7 +130,7 @@ def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in content.items() if key not in consistency.COMPUTED}
 
 
-def _validated(changes: Mapping[str, Any]) -> dict[str, Any]:
+def _validate(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of `Spec` that are not None, converted to numbers; raises InputError."""
     changes = {key: value for key, value in changes.items() if value is not None}
     try:
@@ -159,7 +159,7 @@ def check_distance(distance: Any) -> None:
         )
 
 
-def _specified(
+def _specify(
     source: Prescription,
     content: dict,
     changes: dict,
@@ -173,8 +173,8 @@ def _specified(
     consistency.check_copies(source, content["spec"], view, name)
     wavelengths = wavelengths or view.wavelengths_um
     lens.refractive_indices(wavelengths)
-    lens, view = _changed(lens, replace(view, wavelengths_um=wavelengths, object_vergence=vergence), changes)
-    lens, remarks = placed(lens, view, source.object_distance_mm, focus)
+    lens, view = _change(lens, replace(view, wavelengths_um=wavelengths, object_vergence=vergence), changes)
+    lens, remarks = place_image_plane(lens, view, source.object_distance_mm, focus)
     return LensFile(source, lens, view, content, tuple(remarks))
 
 
@@ -213,7 +213,7 @@ def write(path: Path, data: Prescription, notes: Mapping[str, Any]) -> None:
         raise FileError(f"{path}: expected .yaml, or .zmx for Zemax")
 
 
-def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, View]:
+def _change(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, View]:
     """Return the lens and its view with changed values of `Spec`; the focal length stays; raises InputError."""
     if "field_of_view_deg" in changes:
         fields = view.fields if view.radii.any() else torch.tensor(Spec().fields_mm, dtype=torch.float64)
@@ -232,7 +232,7 @@ def _changed(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, 
     return lens, view
 
 
-def derived(
+def derive_specification(
     source: Prescription,
     changes: dict,
     wavelengths: tuple[float, ...],
@@ -251,7 +251,7 @@ def derived(
     Raises:
         InputError: a value of `changes` is invalid, or the lens has no field, or an F-number without a focal length.
     """
-    changes, remarks = _validated(changes), []
+    changes, remarks = _validate(changes), []
     if not wavelengths and source.wavelengths_um:
         wavelengths = _with_reference(source.wavelengths_um, source.primary or 0)
     elif not wavelengths:
@@ -274,11 +274,11 @@ def derived(
         if not corner:
             view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
             remarks.append("the file has no field except the axis (--field-of-view)")
-    lens, view = _changed(source.lens, view, changes)
+    lens, view = _change(source.lens, view, changes)
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
         pixels = f"{view.pixel_pitch_um} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
-    lens, focus_remarks = placed(lens, view, source.object_distance_mm, focus)
+    lens, focus_remarks = place_image_plane(lens, view, source.object_distance_mm, focus)
     return LensFile(source, lens, view, {}, (*remarks, *focus_remarks), own)
 
 

@@ -42,10 +42,10 @@ def displacements(lens: Lens, view: View, errors: Sequence[Error], rays: int) ->
         return torch.stack([moved.x, moved.y])
 
     zero = torch.zeros(len(errors), dtype=torch.float64)
-    slopes = _centred(torch.stack([nominal.l / nominal.n, nominal.m / nominal.n]), core)
+    slopes = _centre(torch.stack([nominal.l / nominal.n, nominal.m / nominal.n]), core)
     squares = []
     for along in torch.eye(len(errors), dtype=torch.float64):
-        moved = _centred(torch.func.jvp(points, (zero,), (along,))[1], core)  # type: ignore[misc]
+        moved = _centre(torch.func.jvp(points, (zero,), (along,))[1], core)  # type: ignore[misc]
         squares.append(_mean(moved * moved, core) - _mean(moved * slopes, core) ** 2 / _mean(slopes * slopes, core))
     return 1e3 * torch.stack(squares).clamp(min=0).sqrt()
 
@@ -61,8 +61,8 @@ def traced_displacements(lens: Lens, view: View, errors: Sequence[Error], rays: 
         valid = core & moved.valid
         if not valid.any(-1).any(-1).all():
             return float("inf")
-        d = _centred(torch.stack([moved.x - nominal.x, moved.y - nominal.y]), valid)
-        q = _centred(torch.stack([moved.l / moved.n, moved.m / moved.n]), valid)
+        d = _centre(torch.stack([moved.x - nominal.x, moved.y - nominal.y]), valid)
+        q = _centre(torch.stack([moved.l / moved.n, moved.m / moved.n]), valid)
         return float(_mean(d * d, valid) - _mean(d * q, valid) ** 2 / _mean(q * q, valid))
 
     squares = [squared(e) + squared(-e) for e in torch.eye(len(errors), dtype=torch.float64)]
@@ -80,7 +80,7 @@ def _mean(product: Tensor, core: Tensor) -> Tensor:
     return (torch.where(core, product.sum(0), 0.0).sum((1, 2)) / core.sum((1, 2))).mean()
 
 
-def _centred(values: Tensor, core: Tensor) -> Tensor:
+def _centre(values: Tensor, core: Tensor) -> Tensor:
     """Subtract the mean of each field from the values (2, F, W, N) of core rays; zero for other rays."""
     mean = torch.where(core, values, 0.0).sum((2, 3), keepdim=True) / core.sum((1, 2))[:, None, None]
     return torch.where(core, values - mean, 0.0)

@@ -80,7 +80,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
     progress = Progress("built lenses", count)
     qualities = []
     for k, fractions in enumerate(draw(error_list, count, seed), 1):
-        qualities.append(_quality(_assembled(lens, view, error_list, fractions, peak), view))
+        qualities.append(_quality(_assemble(lens, view, error_list, fractions, peak), view))
         progress(k, rms_um=qualities[-1].rms_spot_um)
     design = _quality(lens, view)
     draws = draw(error_list, min(count, allocation.TRIED), seed + allocation.SEED)
@@ -88,7 +88,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
     def passes(scale: Tensor) -> bool:
         bad = 0
         for fractions in draws:
-            lens_built = _assembled(lens, view, error_list, scale * fractions, peak)
+            lens_built = _assemble(lens, view, error_list, scale * fractions, peak)
             bad += _quality(lens_built, view).mtf_quarter_nyquist < KEPT_MTF * design.mtf_quarter_nyquist
             if bad > (1 - allocation.YIELD) * len(draws):
                 return False
@@ -98,8 +98,8 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
     return Tolerances(design, qualities, error_list, moved_um, allotted, 1e3 * float(peak))
 
 
-def _assembled(lens: Lens, view: View, error_list: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
-    return focus.focused(with_errors(lens, error_list, fractions, view.reference_um), view, peak)[0]
+def _assemble(lens: Lens, view: View, error_list: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
+    return focus.focus_built(with_errors(lens, error_list, fractions, view.reference_um), view, peak)[0]
 
 
 def _quality(lens: Lens, view: View) -> Quality:

@@ -77,10 +77,10 @@ def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
 def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays]]:
     """Trace rays as `trace` does; return also the rays behind every surface, z from its vertex, without gradient."""
     image, traced = _traced(lens, rays, indices, record=True)
-    return image, _recorded(traced)
+    return image, _record(traced)
 
 
-def _recorded(traced: Traced) -> list[Rays]:
+def _record(traced: Traced) -> list[Rays]:
     """Return the rays behind every surface, with their status there."""
     status, lost_at, launched = (traced.of_rays(v) for v in (traced.status, traced.lost_at, traced.launched))
     states = []
@@ -158,4 +158,4 @@ def linearise(lens: Lens, rays: Rays, indices: Tensor) -> Linearised:
         x, y, _, l, m, n, _ = d_image.unbind(1)
         return Derivative((x, y, l, m, n), [d.unbind(1) for d in d_record.unbind(1)])
 
-    return Linearised(image, _recorded(traced), derivative)
+    return Linearised(image, _record(traced), derivative)

@@ -25,11 +25,11 @@ def run(
     """
     lens_of = dict(zip(settings.lenses, lenses, strict=True))
     psf_of = dict(zip(settings.lenses, psfs, strict=True))
-    panels = [figures.panel(lens, lens_of[lens], psf_of[lens]) for lens in compared(settings, metrics)]
+    panels = [figures.panel(lens, lens_of[lens], psf_of[lens]) for lens in lenses_to_draw(settings, metrics)]
     figures.save(figures.figure_of(panels), [figure, figure_svg, figure_pdf])
 
 
-def compared(settings: ComparisonJob, metrics: Sequence[Path]) -> list[str]:
+def lenses_to_draw(settings: ComparisonJob, metrics: Sequence[Path]) -> list[str]:
     """Return the lens of each claim, and the strongest baseline of the claims."""
     metrics_of = dict(zip(settings.baseline_keys, metrics, strict=True))
     strongest = Measurements({}, metrics_of).strongest_baseline(settings.claims[0], settings.seed)

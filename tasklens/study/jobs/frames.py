@@ -17,7 +17,7 @@ from tasklens.optics.view import View
 from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.show import predictions
-from tasklens.study.jobs.comparison import compared
+from tasklens.study.jobs.comparison import lenses_to_draw
 from tasklens.study.report import frames
 from tasklens.study.report_jobs import FramesJob
 
@@ -47,12 +47,12 @@ def run(
         metrics: measurements of `settings.comparison.baseline_keys`.
     """
     lens_of = dict(zip(settings.captures, lenses, strict=True))
-    names = compared(settings.comparison, metrics)
+    names = lenses_to_draw(settings.comparison, metrics)
     images = dataset.read(*test)
     read = {lens: prescription.read(lens_of[lens]) for lens in names}
     views = {lens: view_of(read[lens][0].lens, content, str(lens_of[lens])) for lens, (_, content) in read.items()}
     shape = _frame_shape(views[names[0]])
-    sources = {"chart": resolution_chart(*shape), "test images": _tiled(images, shape)}
+    sources = {"chart": resolution_chart(*shape), "test images": _tile(images, shape)}
     rows = {name: {"sharp": image} for name, image in sources.items()}
     for lens, view in views.items():
         design = read[lens][0].lens
@@ -75,7 +75,7 @@ def _frame_shape(view: View) -> tuple[int, int]:
     return int(scale * _SHAPE[0]), int(scale * _SHAPE[1])
 
 
-def _tiled(test: ImageDataset, shape: tuple[int, int]) -> Tensor:
+def _tile(test: ImageDataset, shape: tuple[int, int]) -> Tensor:
     """Tile the first test images row by row into one frame (3, H, W); repeat them if there are too few."""
     side = test.images.shape[-1]
     rows, columns = (-(-n // side) for n in shape)

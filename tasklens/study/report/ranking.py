@@ -47,7 +47,7 @@ def make(
     correct = {lens: predictions.read(path) for lens, path in measured.items()}
     sharp = float(100 * correct.pop(SHARP).to_numpy().mean())
     at_nine = {lens: predictions.read(measured[lens], "nine") for lens in settings.lenses}
-    ranks = ranking.ranked(correct)
+    ranks = ranking.rank_lenses(correct)
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
     means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}

@@ -126,7 +126,7 @@ class Overwritten:
     otherwise: tuple[str, ...]
 
 
-def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
+def find_overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
     """Find the finished results that the jobs of a run overwrite.
 
     A changed value repeats a job if its settings differ from the settings that its outputs were made with, or if it
@@ -154,7 +154,7 @@ def overwritten(study: Study, jobs: Mapping[str, PlannedJob]) -> Overwritten:
     )
 
 
-def unrecorded(study: Study, jobs: Iterable[PlannedJob]) -> str | None:
+def find_unrecorded(study: Study, jobs: Iterable[PlannedJob]) -> str | None:
     """Return the error message if results of other settings would be taken for those of the study; otherwise None.
 
     Snakemake does not know the settings of results that were copied without its folder.

@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from tasklens.optics.analysis.focus import refocused
+from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.mtf import mean_mtf
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import check_focal_length
@@ -109,7 +109,7 @@ def screen(
     for step, path in enumerate(paths, 1):
         title = _title(path, paths)
         try:
-            entry, mtf, remarks = _screened(path, sensor, catalogues, scaled, focus)
+            entry, mtf, remarks = _screen(path, sensor, catalogues, scaled, focus)
         except ValidationError as error:
             screened.left_out[title] = "; ".join(problems(error, Spec))
         except (InputError, OSError) as error:
@@ -123,7 +123,7 @@ def screen(
     return screened
 
 
-def _screened(
+def _screen(
     path: Path, sensor: Spec, catalogues: Sequence[Path], scaled: bool, focus: Focus | None
 ) -> tuple[dict[str, Any], float, Sequence[str]]:
     """Return the entry of a lens in a study, its mean MTF, and assumptions about its file; raises InputError."""
@@ -166,7 +166,7 @@ def _screened(
     if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
     if (by := details["focus"]) != "file":
-        lens = refocused(lens, view, "spot" if by == "spot" else "mtf")
+        lens = refocus(lens, view, "spot" if by == "spot" else "mtf")
     grid = evaluation_psf(lens, view, _RAYS)
     remarks += filter(None, [window_remark(energy_inside(grid), view.kernel_size)])
     return entry | {"focus": by}, float(mean_mtf(grid)), remarks
