@@ -11,9 +11,9 @@ BUDGETS = {  # by unit and files; the aim of the next version in parentheses
     ("lines", "tests/**/*.py"): 26_000,  # (19 500)
     ("files", "tasklens/**/*.py restoration/**/*.py"): 290,  # (230)
     ("words", "README.md"): 950,  # (800)
-    ("words", "docs/*.md"): 17_200,  # (15 000)
+    ("words", "docs/*.md"): 16_800,  # (15 000)
     ("words", "docs/notes/*.md"): 7_600,  # (4 000)
-    ("words", "CHANGELOG.md"): 3_400,  # (800)
+    ("words", "CHANGELOG.md"): 1_800,  # (800)
 }
 
 
