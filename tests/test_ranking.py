@@ -202,7 +202,7 @@ SENSOR = (*WEIGHTS, *SMALL)
 
 
 @pytest.fixture(scope="module")
-def rank_lenses(folder):
+def ranked(folder):
     """The command for all lenses, as a program."""
     command = [sys.executable, "-m", "tasklens.cli", *COMMAND, *SENSOR]
     return subprocess.run(command, cwd=folder, capture_output=True, text=True)

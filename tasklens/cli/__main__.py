@@ -1,4 +1,4 @@
-"""`python -m tasklens.cli`: the command line without its script, as torchrun starts it."""
+"""`python -m tasklens.cli`: the command line without its script."""
 
 from tasklens.cli.app import main
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tasklens.cli.lens_options import Seed
-from tasklens.cli.network_options import NetworkOptions, PhotographOptions, parse_settings
+from tasklens.cli.network_options import PANEL, NetworkOptions, PhotographOptions, parse_settings
 from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
 from tasklens.cli.progress_bars import progress_bars
@@ -145,7 +145,7 @@ def design(
     network: NetworkOptions,
     save_network: Annotated[
         Path | None,
-        typer.Option(help="File for the network that joint or end_to_end trains, .safetensors."),
+        typer.Option(help="File for the network that joint or end_to_end trains, .safetensors.", rich_help_panel=PANEL),
     ] = None,
     verdict: Annotated[
         bool, typer.Option(help="Compare the lens of `task` with lenses for image quality.", rich_help_panel=_VERDICT)

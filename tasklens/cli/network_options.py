@@ -11,7 +11,7 @@ import yaml
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.user_code import is_users
 
-_PANEL = "Network and photographs"
+PANEL = "Network and photographs"  # of their options in the help
 
 
 @dataclass(frozen=True)
@@ -21,11 +21,11 @@ class PhotographOptions:
     images: Annotated[
         Path | None,
         typer.Option(
-            help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=_PANEL
+            help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=PANEL
         ),
     ] = None
     size: Annotated[
-        int | None, typer.Option(help="Side of the photographs (pixels); by default 224.", rich_help_panel=_PANEL)
+        int | None, typer.Option(help="Side of the photographs (pixels); by default 224.", rich_help_panel=PANEL)
     ] = None
 
 
@@ -35,21 +35,21 @@ class NetworkOptions:
 
     network: Annotated[
         str | None,
-        typer.Option(help="Name of the network in timm, or package.module:function.", rich_help_panel=_PANEL),
+        typer.Option(help="Name of the network in timm, or package.module:function.", rich_help_panel=PANEL),
     ] = None
     weights: Annotated[
-        Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.", rich_help_panel=_PANEL)
+        Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.", rich_help_panel=PANEL)
     ] = None
     pretrained: Annotated[
-        bool, typer.Option("--pretrained", help="Use published weights from timm's hub.", rich_help_panel=_PANEL)
+        bool, typer.Option("--pretrained", help="Use published weights from timm's hub.", rich_help_panel=PANEL)
     ] = False
     outputs: Annotated[
         Literal["classes", "imagenet", "all_imagenet"],
-        typer.Option(help="Outputs of the network: the folder's classes, or ImageNet's.", rich_help_panel=_PANEL),
+        typer.Option(help="Outputs of the network: the folder's classes, or ImageNet's.", rich_help_panel=PANEL),
     ] = "classes"
     argument: Annotated[
         list[str] | None,
-        typer.Option(help="Argument of timm's create_model, or of the function: img_size=64.", rich_help_panel=_PANEL),
+        typer.Option(help="Argument of timm's create_model, or of the function: img_size=64.", rich_help_panel=PANEL),
     ] = None
 
     def settings(self) -> dict[str, Any] | None:

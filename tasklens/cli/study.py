@@ -273,5 +273,6 @@ def removed_diff() -> None:
 def removed_export() -> None:
     """Name the replacement of a command of version 1.0."""
     raise InputError(
-        "tasklens study export: removed; `tar -czf study.tar.gz --exclude images --exclude checkpoints results/NAME`"
+        "tasklens study export: removed; use `tar -czf study.tar.gz --exclude '*/images' --exclude '*/checkpoints' "
+        "--exclude '*.safetensors' results/NAME`, without images, checkpoints, weights and PSFs"
     )

@@ -42,7 +42,7 @@ class Descent:
 
     Args:
         start: starting lens.
-        supervisor: criterion on the lens, with its images.
+        objective: criterion on the lens, with its images.
         design: numbers of rays and images per step.
         settings: settings of the descent.
         seed: seed of the rays and of the image order.

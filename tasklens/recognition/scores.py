@@ -34,7 +34,7 @@ class Detections:
         boxes: (K, 4) left, top, right, bottom edge [pixels].
         labels: (K,) classes.
         scores: (K,) confidence; None for true objects.
-        masks: (K,) run lengths of the masks, from `encoded`; None if there are no masks.
+        masks: (K,) run lengths of the masks, from `encode`; None if there are no masks.
     """
 
     boxes: Tensor

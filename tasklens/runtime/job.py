@@ -63,21 +63,24 @@ def _call(
         kinds = get_type_hints(call)
         parameters = list(signature(call).parameters)
         job_settings = kinds[parameters[0]].model_validate_json(settings, extra="ignore")  # computed fields
-        arguments = _files(parameters[1:], kinds, inputs)
+        others = dict(inputs)
+        arguments = _files(parameters[1:], kinds, others)
+        if others:
+            raise TypeError(f"{function} has no parameter {', '.join(others)}")
         arguments |= {name: Path(path) for name, path in outputs.items()}
         if "checkpoint" in parameters:
             arguments["checkpoint"] = kinds["checkpoint"](checkpoint)
         call(job_settings, **arguments)
 
 
-def _files(names: Iterable[str], kinds: Mapping[str, Any], inputs: Mapping[str, Paths]) -> dict[str, Any]:
-    """Return the input files by parameter, those of a data class as one object."""
+def _files(names: Iterable[str], kinds: Mapping[str, Any], inputs: dict[str, Paths]) -> dict[str, Any]:
+    """Return the input files by parameter, those of a data class as one object; others remain in `inputs`."""
     files: dict[str, Any] = {}
     for name in names:
         if is_dataclass(kind := kinds[name]) and isinstance(kind, type):
             files[name] = kind(**_files([field.name for field in fields(kind)], get_type_hints(kind), inputs))
         elif name in inputs:
-            files[name] = _paths(inputs[name], kind)
+            files[name] = _paths(inputs.pop(name), kind)
     return files
 
 

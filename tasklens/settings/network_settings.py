@@ -59,6 +59,14 @@ class ClassifierSettings(Frozen):
         """Digest of the file of a user's function."""
         return user_code.digest(self.model)
 
+    @model_validator(mode="before")
+    @classmethod
+    def _of_one_process(cls, value: Any) -> Any:
+        """Leave out the default of a key that version 1.0 stored with every study."""
+        if isinstance(value, dict) and value.get("processes") == 1:
+            return {key: entry for key, entry in value.items() if key != "processes"}
+        return value
+
     @model_validator(mode="after")
     def _one_origin(self) -> "ClassifierSettings":
         if self.pretrained and self.weights:

@@ -50,7 +50,7 @@ rule report:
 
 
 rule regimes:
-    """The verdicts, which have the numbers of this table of version 1.0."""
+    """The verdicts, instead of this table of version 1.0."""
     input:
         at_points(rules.verdicts_table.output.csv),
 

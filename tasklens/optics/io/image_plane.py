@@ -23,10 +23,16 @@ def place_image_plane(lens: Lens, view: View, own_distance: float, focus: str | 
         InputError: another `focus`, or a lens that cannot be focused.
     """
     moved = view.object_vergence != 1 / own_distance
-    criterion = ("mtf" if moved else "file") if focus is None or not isinstance(focus, str) else focus
-    by_shift = focus if isinstance(focus, int | float) else 0.0
-    if criterion not in ("file", *_BY) or not math.isfinite(by_shift):
-        raise InputError(f"focus {focus} (--focus): expected micrometres, such as -10, or file, mtf or spot")
+    criterion, by_shift = "mtf" if moved else "file", 0.0
+    try:
+        if isinstance(focus, str):
+            criterion = focus
+        elif focus is not None:
+            by_shift = float(focus)
+        if criterion not in ("file", *_BY) or not math.isfinite(by_shift):
+            raise ValueError
+    except (TypeError, ValueError):
+        raise InputError(f"focus {focus} (--focus): expected micrometres, such as -10, or file, mtf or spot") from None
     if criterion == "file":
         return move_image_plane(lens, 1e-3 * by_shift) if by_shift else lens, []
     if focus is not None:

@@ -27,7 +27,7 @@ def collect(settings: SweepJob, tables: Sequence[Path]) -> pandas.DataFrame:
 
 def _numbers(path: Path) -> pandas.DataFrame:
     """Return the numbers of a table, one per row; the paper's values are left out."""
-    table = pandas.read_csv(path, keep_default_na=False, na_values=[""])
+    table = pandas.read_csv(path, keep_default_na=False, na_values=[""], dtype=dict.fromkeys(_KEYS, str))
     keys = table[[key for key in _KEYS if key in table]]
     names = keys.apply(lambda row: "-".join(row.dropna()), axis="columns")
     columns = [name for name in map(str, table) if name not in _KEYS and not name.endswith("_paper")]

@@ -1,7 +1,7 @@
 """Terminal output of a run of the workflow: a line for each finished job, and a bar with the running jobs.
 
 Snakemake reports to a Python logger. Our handler replaces Snakemake's handler for the terminal, and stores the state of
-the run (`pipeline.runs`). Snakemake's own log file below .snakemake/log stays complete. Without a terminal, one line a
+the run (`runs`). Snakemake's own log file below .snakemake/log stays complete. Without a terminal, one line a
 minute replaces the bar.
 """
 
@@ -167,7 +167,7 @@ class Terminal(logging.Handler):
             return self._print(f"stopped  {self._title(run, label)}")
         log = self._log(run, label)
         lines = last_lines(log, _LOG_LINES)
-        errors = [line for line in lines if line.startswith("tasklens: ")]  # torchrun's report may follow this line
+        errors = [line for line in lines if line.startswith("tasklens: ")]
         run.end(label, runs.FAILED, result=(errors or lines or [""])[-1])
         elapsed = duration(run.jobs[label].seconds or 0.0)
         self._print(f"FAILED  {self._title(run, label)}  after {elapsed}; its log {log}:")
