@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
-from tasklens.cli.lens import File, Rays
+from tasklens.cli.lens import Diffraction, File, Rays
 from tasklens.cli.lens_options import Seed, reader
 from tasklens.cli.option_groups import with_options
 from tasklens.cli.outputs import Force, new_file, remarks_about, say
@@ -68,9 +68,7 @@ def simulate(
     colour: Colour = None,
     full_well: FullWell = None,
     rays: Rays = 4096,
-    diffraction: Annotated[
-        bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
-    ] = False,
+    diffraction: Diffraction = False,
     force: Force = False,
 ) -> None:
     """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""

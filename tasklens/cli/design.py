@@ -76,7 +76,7 @@ class StartOptions:
 
     @property
     def is_flat(self) -> bool:
-        """Whether it is plane-parallel plates."""
+        """True if the start is plane-parallel plates."""
         return self.start == Path("flat")
 
     @property

@@ -19,6 +19,7 @@ File = Annotated[Path, typer.Argument(help="Lens: .yaml or .zmx.", show_default=
 Files = Annotated[list[Path], typer.Argument(help="Lenses: .yaml or .zmx.", show_default=False)]
 _GRADE = "precision_moulding"
 Rays = Annotated[int, typer.Option(min=1, help="Rays per field and colour.")]
+Diffraction = Annotated[bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")]
 SensorFields = Annotated[
     bool, typer.Option("--sensor-fields", help="At nine fields over the sensor, also if the file has its own.")
 ]
@@ -138,9 +139,7 @@ def psf(
         Path, typer.Option("--output", "-o", help="PSFs: .npz, .safetensors, or .png to view.", show_default=False)
     ],
     rays: Rays = 4096,
-    diffraction: Annotated[
-        bool, typer.Option("--diffraction", help="Include diffraction; takes half a minute.")
-    ] = False,
+    diffraction: Diffraction = False,
     force: Force = False,
 ) -> None:
     """Compute the point spread functions at nine fields and each wavelength."""

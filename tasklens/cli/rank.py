@@ -61,7 +61,7 @@ class SensorOptions:
 
 @dataclass(frozen=True)
 class LensOptions:
-    """How lenses are read, and which are measured."""
+    """Reading of lenses, and the choice of those that are measured."""
 
     scale: Annotated[
         bool,

@@ -1,4 +1,4 @@
-"""What a user asks of the design of one lens, from Python or from the command line."""
+"""Request for the design of one lens, from Python or from the command line."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
