@@ -9,15 +9,16 @@ from tasklens.optics.lens import Lens
 
 _IMAGES = slice(24)  # training images in fixed order, each at all fields of the validation
 _MICRO_BATCH = 36
-_COARSE = (6, 1.0)  # planes on each side of the best one, and the blur that defocus adds to the next [pixels]
-_FINE = (3, 0.25)
-_ROUNDS = 4  # coarse searches after the first, while the best plane is the outermost
+_PLANES, _STEP = 3, 2.0  # planes on each side of the peak, and the blur that defocus adds to the next [pixels]
+_LAST_STEP = 0.25
+_ROUNDS = 4  # searches after the first, while the best plane is the outermost
 
 
 def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
     """Move the image plane of a lens to the least loss of a network on training images.
 
-    The search begins at the peak of the MTF, moves on while the best plane is the outermost, and ends with finer steps.
+    The search begins at planes around the peak of the MTF, moves on while the best plane is the outermost, and then
+    halves the distance between planes.
     """
     objective = Objective(loss, problem, None, False, _MICRO_BATCH, "chief_ray")
     start = refocus(lens, problem.view)
@@ -32,9 +33,13 @@ def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
                 losses[shift] = float(objective.fixed_losses(move_image_plane(start, shift), 1.0, _IMAGES).mean())
         return min(losses, key=lambda shift: losses[shift])
 
-    best = best_plane(0.0, *_COARSE)
+    best = best_plane(0.0, _PLANES, _STEP)
     for _ in range(_ROUNDS):
         if min(losses) < best < max(losses):
             break
-        best = best_plane(best, *_COARSE)
-    return move_image_plane(start, best_plane(best, *_FINE))
+        best = best_plane(best, _PLANES, _STEP)
+    step = _STEP
+    while step > _LAST_STEP:
+        step /= 2
+        best = best_plane(best, 1, step)
+    return move_image_plane(start, best)
