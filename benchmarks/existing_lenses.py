@@ -1,6 +1,6 @@
 """Existing lenses: our spots, MTF, distortion and illumination compared with Optiland's and with published numbers.
 
-    python benchmarks/existing_lenses.py [--save existing_lenses] [--lenses US8310767B2 lens1]
+    python benchmarks/existing_lenses.py [--csv existing_lenses.csv] [--lenses US8310767B2 lens1]
 
 The lenses are those in tests/data/lenses and, if the folder exists, in ../shared/data/lenses. Without Optiland (pip
 install optiland) its columns are empty. A star marks a difference beyond the tolerance of its table; the reasons are in
@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from types import ModuleType
 
+import pandas
 import torch
 from timing import arguments, report
 from torch import Tensor
@@ -475,6 +476,7 @@ TABLES = (
 def main(argv: list[str] | None = None) -> None:
     parser = arguments(__doc__.splitlines()[0])
     parser.add_argument("--lenses", nargs="+", metavar="NAME", help="only these")
+    parser.add_argument("--csv", metavar="FILE", help="write all tables, a row for each number")
     options = parser.parse_args(argv)
     warnings.filterwarnings("ignore")  # Optiland's, of rays that miss a surface
     try:
@@ -484,8 +486,13 @@ def main(argv: list[str] | None = None) -> None:
     paths = [path for path in LENS_FILES if path.stem in (options.lenses or [path.stem])]
     begin = time.perf_counter()
     cases = [read(path, peer) for path in (paths[:1] if options.tiny else paths)]
+    cells = []
     for title, columns, rows in TABLES:
-        report(title, columns, list(rows(cases, options.tiny)), options.save)
+        table = list(rows(cases, options.tiny))
+        report(title, columns, table, options.save)
+        cells += [(rows.__name__, lens, *cell) for lens, *row in table for cell in zip(columns[1:], row, strict=True)]
+    if options.csv:
+        pandas.DataFrame(cells, columns=["table", "lens", "column", "value"]).to_csv(options.csv, index=False)
     print(f"{len(cases)} lenses, {time.perf_counter() - begin:.0f} s", flush=True)
 
 

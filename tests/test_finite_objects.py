@@ -223,7 +223,7 @@ def test_rays_are_those_of_optiland(lens):
         torch.testing.assert_close(rays.y[field, 0], torch.as_tensor(optiland_rays.y), rtol=0, atol=1e-8)
 
 
-NEAR = {  # distance of the object [mm], largest RMS spot diameter in docs/results/existing_lenses.md [um]
+NEAR = {  # distance of the object [mm], largest RMS spot diameter in docs/results/existing_lenses.csv [um]
     "3P_F2.5_FOV78.1_EFL2.8_IMH2.3_TTL4.33": (350.0, 17.36),
     "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3.30": (370.0, 8.13),
 }
