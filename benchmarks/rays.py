@@ -3,7 +3,7 @@
     python benchmarks/rays.py [--rounds 15] [--save rays]
 
 Without Optiland (pip install optiland) only our times are printed. Optiland runs by the fastest calls that we know: one
-bundle of rays with a wavelength each, traced by `surfaces.trace`, with parameters updated as its optimiser does.
+bundle of rays with a wavelength each, traced by `surfaces.trace`, with parameters updated as its optimizer does.
 """
 
 import math

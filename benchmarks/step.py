@@ -40,7 +40,7 @@ from tasklens.study.loading import parse
 STUDY = Path(__file__).parents[1] / "config" / "config.yaml"
 OPTICS = ("rays, PSFs, limits", "their backward", "captures and their backward")
 NETWORK = "network, forward and backward"
-ORDER = (*OPTICS, "augmentation", NETWORK, "optimiser")
+ORDER = (*OPTICS, "augmentation", NETWORK, "optimizer")
 
 
 class Average(nn.Module):
@@ -99,7 +99,7 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
             gradient = at_psf(ours, grid)
         with clock("their backward"):
             torch.autograd.backward([grid, bounds], [gradient, None])
-        with clock("optimiser"):
+        with clock("optimizer"):
             optimizer.apply(vector)  # uses the gradients of the variables
     middle = {part: statistics.median(times) for part, times in clock.times.items()}
     middle[NETWORK] -= middle["captures and their backward"]
