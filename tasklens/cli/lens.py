@@ -91,12 +91,13 @@ def draw(
     force: Force = False,
 ) -> None:
     """Draw lenses one above the other: cross-section with rays, spots, PSFs, ray fans, MTF, distortion."""
-    from tasklens.show import drawing, figures
+    from tasklens.show import figures
+    from tasklens.show.panel import Panel
 
     new_file(output, force, ".png", ".svg", ".pdf")
     lenses = {name: read(path) for name, path in _named(files).items()}
-    figure = drawing.figure({name: (lens.lens, lens.view) for name, lens in lenses.items()}, rays)
-    figures.save(figure, [output])
+    panels = [Panel.compute(name, lens.lens, lens.view, rays) for name, lens in lenses.items()]
+    figures.save(figures.figure_of(panels), [output])
     say(f"wrote {output}")
 
 

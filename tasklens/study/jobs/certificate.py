@@ -11,6 +11,7 @@ from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.runtime.files import write_text
 from tasklens.show import certificate, figures, manufacturability
+from tasklens.show.panel import Panel
 from tasklens.study.report_jobs import CertificateJob
 
 _RAYS = 256  # per field and colour, for sensitivities
@@ -45,4 +46,4 @@ def run(
         zemax, replace(prescription.with_system_data(lens_prescription, view), title=settings.lens, aperture=None)
     )
     catalogue.touch()  # already written if the lens has a glass of its own
-    figures.draw_parts(figures.panel(settings.lens, lens, psf), section, spots, psfs, curves)
+    figures.draw_parts(Panel.read(settings.lens, lens, psf), section, spots, psfs, curves)

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tasklens.show import figures
+from tasklens.show.panel import Panel
 from tasklens.study.report.measurements import Measurements
 from tasklens.study.report_jobs import ComparisonJob
 
@@ -25,7 +26,7 @@ def run(
     """
     lens_of = dict(zip(settings.lenses, lenses, strict=True))
     psf_of = dict(zip(settings.lenses, psfs, strict=True))
-    panels = [figures.panel(lens, lens_of[lens], psf_of[lens]) for lens in lenses_to_draw(settings, metrics)]
+    panels = [Panel.read(lens, lens_of[lens], psf_of[lens]) for lens in lenses_to_draw(settings, metrics)]
     figures.save(figures.figure_of(panels), [figure, figure_svg, figure_pdf])
 
 
