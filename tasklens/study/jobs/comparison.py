@@ -5,12 +5,12 @@ from pathlib import Path
 
 from tasklens.show import figures
 from tasklens.show.panel import Panel
+from tasklens.study.claims import Claims
 from tasklens.study.report.measurements import Measurements
-from tasklens.study.report_jobs import ComparisonJob
 
 
 def run(
-    settings: ComparisonJob,
+    settings: Claims,
     lenses: Sequence[Path],
     psfs: Sequence[Path],
     metrics: Sequence[Path],
@@ -30,8 +30,8 @@ def run(
     figures.save(figures.figure_of(panels), [figure, figure_svg, figure_pdf])
 
 
-def lenses_to_draw(settings: ComparisonJob, metrics: Sequence[Path]) -> list[str]:
+def lenses_to_draw(settings: Claims, metrics: Sequence[Path]) -> list[str]:
     """Return the lens of each claim, and the strongest baseline of the claims."""
     metrics_of = dict(zip(settings.baseline_keys, metrics, strict=True))
-    strongest = Measurements({}, metrics_of).strongest_baseline(settings.claims[0], settings.seed)
+    strongest = Measurements({}, metrics_of).strongest_baseline(settings.claims[0], *settings.seeds)
     return [*(claim.lens for claim in settings.claims), strongest]

@@ -16,7 +16,7 @@ from tasklens.runtime.benchmarks import benchmarks
 from tasklens.runtime.files import FileError, damaged, read_json, read_table, read_yaml, write_text
 from tasklens.show import pictures
 from tasklens.show.headings import STD
-from tasklens.show.optimality import Optimum, optimum
+from tasklens.show.optimality import optimum
 from tasklens.study.report import answer as answer_figure
 from tasklens.study.report.page import captures, charts, gallery, tables, words
 from tasklens.study.report.page.page_files import PageFiles, table_name
