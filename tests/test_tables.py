@@ -14,7 +14,7 @@ from tasklens.settings.names import SHARP, measured
 from tasklens.show import headings
 from tasklens.study.loading import dump, parse
 from tasklens.study.report import tables
-from tasklens.study.report.failure import failed
+from tasklens.study.report.measurements import failed
 from tasklens.study.study import TABLES
 from tasklens.study.tables import table as table_of
 

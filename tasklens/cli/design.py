@@ -10,11 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tasklens.cli.lens_options import Seed
-from tasklens.cli.network_options import PANEL, NetworkOptions, PhotographOptions, parse_settings
-from tasklens.cli.option_groups import with_options
-from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
-from tasklens.cli.progress_bars import progress_bars
+from tasklens.cli.options import PANEL, NetworkOptions, PhotographOptions, Seed, parse_settings, with_options
+from tasklens.cli.outputs import (
+    AsJson,
+    Force,
+    new_catalogue,
+    new_file,
+    print_json,
+    progress_bars,
+    remarks_about,
+    say,
+    say_catalogue,
+)
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -248,7 +255,7 @@ def _write(output: Path, result: "Designs", save_network: Path | None, improved:
 
 def _compare(output: Path, page: Path, result: "Designs", unused: "ImageDataset") -> dict[str, str]:
     """Compare the lens with those for image quality on photographs that no design has used; write the page."""
-    from tasklens.api.verdict import verdict
+    from tasklens.api.design import verdict
 
     with progress_bars(), remarks_about(output):
         answer, ranking = verdict(result, unused)

@@ -7,10 +7,18 @@ from typing import Annotated
 
 import typer
 
-from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, Seed, reader
-from tasklens.cli.option_groups import with_options
-from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
-from tasklens.cli.progress_bars import progress_bars
+from tasklens.cli.options import Catalogues, Configuration, FieldOfView, Seed, reader, with_options
+from tasklens.cli.outputs import (
+    AsJson,
+    Force,
+    new_catalogue,
+    new_file,
+    print_json,
+    progress_bars,
+    remarks_about,
+    say,
+    say_catalogue,
+)
 from tasklens.runtime.errors import InputError
 
 app = typer.Typer(no_args_is_help=True)

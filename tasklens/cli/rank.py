@@ -8,11 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from tasklens.cli.lens_options import Catalogues
-from tasklens.cli.network_options import NetworkOptions, PhotographOptions
-from tasklens.cli.option_groups import with_options
-from tasklens.cli.outputs import say
-from tasklens.cli.progress_bars import progress_bars
+from tasklens.cli.options import Catalogues, NetworkOptions, PhotographOptions, with_options
+from tasklens.cli.outputs import progress_bars, say
 from tasklens.runtime.errors import InputError
 from tasklens.settings.names import Focus
 

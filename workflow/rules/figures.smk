@@ -46,7 +46,7 @@ rule drawing:
     resources:
         **needs("drawing"),
     params:
-        **call("tasklens.study.jobs.drawing.run"),
+        **call("tasklens.study.jobs.certificate.draw"),
         settings=settings(report_jobs.DrawingJob.of),
     script:
         "../scripts/job.py"
