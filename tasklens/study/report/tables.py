@@ -122,7 +122,7 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
     table = table.reset_index()
     paper_rows = paper[paper["table"] == contents.name]
     published = paper_rows.pivot_table(index=keys, columns="metric", values="value", sort=False)
-    shared = [c for c in columns if c in published and c != "parameters_m"]
+    shared = [c for c in columns if c in published]
     return table.merge(published[shared].add_suffix(PAPER).reset_index(), on=keys, how="left")
 
 

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import pandas
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
 from tasklens.runtime.benchmarks import benchmarks
@@ -105,12 +104,7 @@ def render(settings: ReportJob, files: PageFiles, by_seed: Mapping[str, pandas.D
         "configuration_link": pictures.of_text(settings.configuration),
     }
     script = (resources.files(__package__) / "page.js").read_text(encoding="utf-8")
-    environment = Environment(
-        loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    return environment.get_template("page.html").render(
-        sections, plotly=get_plotlyjs(), css=pictures.style_sheet(), js=script
-    )
+    return pictures.render(__package__, "page.html", **sections, plotly=get_plotlyjs(), js=script)
 
 
 def _draw_answer(
