@@ -8,7 +8,7 @@ from typing import Any, Unpack
 import torch
 from torch import nn
 
-from tasklens.api.ranking import Ranking, measured, on_sharp_images, predictions
+from tasklens.api.ranking import Ranking, measure_lenses, on_sharp_images, predictions
 from tasklens.design.chain import Designs
 from tasklens.design.request import LensRequest, Specification
 from tasklens.design.single import BASELINES, designs
@@ -123,7 +123,7 @@ def verdict(result: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
     of_the_design = on_sharp_images(supervision.network, supervision.images.take(order))
     chosen = {other: predictions(of_the_design, *lenses[other], SELECTION, other)[0] for other in BASELINES}
     best = max(chosen, key=lambda other: chosen[other].to_numpy().mean())
-    ranking = measured(lenses, on_sharp_images(supervision.network, unused))
+    ranking = measure_lenses(lenses, on_sharp_images(supervision.network, unused))
     task, baseline = (100 * ranking.correct[design].mean(axis=1).to_numpy() for design in (name, best))
     low, high = interval(resampled_means((task - baseline)[:, None])[:, 0])
     gain = float((task - baseline).mean())

@@ -135,7 +135,7 @@ def rank(
         sections = spec, images, classifier, sensor.capture()
         return ranking.study(name, screened, *sections, fine_tune, kept, tolerances, built)
 
-    unread = loading.parse(study(screening.unread()))  # errors come before the lenses are read
+    unread = loading.parse(study(screening.placeholder()))  # errors come before the lenses are read
     say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
     with progress_bars():
         catalogues = [*(lens_options.catalogue or ()), *user_files()]

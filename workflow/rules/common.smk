@@ -121,7 +121,7 @@ def paths_of(pattern, study, keys):
     return [path_of(pattern, study, **key._asdict()) for key in keys]
 
 
-def shown(path, caption, category="Tables", **labels):
+def report_output(path, caption, category="Tables", **labels):
     """Return an output that Snakemake's report shows with a caption from `workflow/report`."""
     labels = {"study": "{study}"} | labels
     return report(path, caption=f"../report/{caption}.rst", category=category, labels=labels)

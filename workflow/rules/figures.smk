@@ -34,7 +34,9 @@ rule drawing:
         lens=rules.design.output.lens,
         psf=psf,
     output:
-        figure=shown("results/{study}/figures/{lens}-seed{seed}.png", "drawing", "Lenses", lens="{lens}", seed="{seed}"),
+        figure=report_output(
+            "results/{study}/figures/{lens}-seed{seed}.png", "drawing", "Lenses", lens="{lens}", seed="{seed}"
+        ),
         figure_svg="results/{study}/figures/{lens}-seed{seed}.svg",
         figure_pdf="results/{study}/figures/{lens}-seed{seed}.pdf",
     log:
@@ -59,7 +61,7 @@ rule comparison:
         psfs=files_of(rules.psfs.output.psf, paper_claims.comparison),
         metrics=files_of(rules.fine_tune.output.metrics, paper_claims.comparison, "baseline_keys"),
     output:
-        figure=shown(
+        figure=report_output(
             "results/{study}/figures/figure3-{elements}-seed{seed}.png",
             "comparison",
             "Comparisons",
@@ -91,7 +93,7 @@ rule frames:
         test=TEST,
         correct=files_of(rules.fine_tune.output.predictions, paper_claims.comparison, "measured_keys"),
     output:
-        figure=shown(
+        figure=report_output(
             "results/{study}/figures/figure4-{elements}-seed{seed}.png",
             "frames",
             "Comparisons",

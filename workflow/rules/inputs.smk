@@ -70,7 +70,7 @@ def table_of(study, table):
     return contents
 
 
-def compared(claims):
+def claim_inputs(claims):
     """Return the inputs of a table of claims: files of lenses, metrics and predictions; for `claims`, see `contents`."""
     return {
         "lenses": files_of(rules.design.output.lens, claims),

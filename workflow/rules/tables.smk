@@ -8,7 +8,7 @@ rule table:
         metrics=files_of(rules.fine_tune.output.metrics, table_of, "measured_keys"),
         frozen=files_of(rules.fine_tune.output.frozen, table_of, "frozen_keys"),
     output:
-        csv=shown("results/{study}/tables/{table}.csv", "table", table="{table}"),
+        csv=report_output("results/{study}/tables/{table}.csv", "table", table="{table}"),
         md="results/{study}/tables/{table}.md",
         tex="results/{study}/tables/{table}.tex",
         seeds_csv="results/{study}/tables/{table}.seeds.csv",
@@ -30,9 +30,9 @@ rule table:
 rule verdicts_table:
     """Make the table of verdicts on the paper's claims from the measured accuracies."""
     input:
-        **compared(paper_claims.claims),
+        **claim_inputs(paper_claims.claims),
     output:
-        csv=shown("results/{study}/tables/verdicts.csv", "verdicts", table="verdicts"),
+        csv=report_output("results/{study}/tables/verdicts.csv", "verdicts", table="verdicts"),
         md="results/{study}/tables/verdicts.md",
         answers="results/{study}/tables/verdicts.npz",
     log:
@@ -52,9 +52,9 @@ rule verdicts_table:
 rule ablation:
     """Make the table of one ablation: a design and its variants."""
     input:
-        **compared(lambda study, ablation: paper_claims.ablation_claims(study, ablation).claims),
+        **claim_inputs(lambda study, ablation: paper_claims.ablation_claims(study, ablation).claims),
     output:
-        csv=shown("results/{study}/tables/ablation_{ablation}.csv", "ablation", table="ablation {ablation}"),
+        csv=report_output("results/{study}/tables/ablation_{ablation}.csv", "ablation", table="ablation {ablation}"),
         md="results/{study}/tables/ablation_{ablation}.md",
         answers="results/{study}/tables/ablation_{ablation}.npz",
     log:
@@ -75,7 +75,7 @@ rule psf_tail_table:
     input:
         lenses=files_of(rules.design.output.lens, report_jobs.TailsJob.of),
     output:
-        csv=shown("results/{study}/tables/psf_tail.csv", "psf_tail", table="tails of PSFs"),
+        csv=report_output("results/{study}/tables/psf_tail.csv", "psf_tail", table="tails of PSFs"),
         md="results/{study}/tables/psf_tail.md",
         fields_csv="results/{study}/tables/psf_tail.fields.csv",
         encircled_energy="results/{study}/tables/encircled_energy.csv",
@@ -98,7 +98,7 @@ rule effort_table:
     input:
         lenses=files_of(rules.design.output.lens, paper_effort.effort),
     output:
-        csv=shown("results/{study}/effort.csv", "effort", table="effort"),
+        csv=report_output("results/{study}/effort.csv", "effort", table="effort"),
         md="results/{study}/effort.md",
     log:
         "results/{study}/logs/effort_table.log",
@@ -124,7 +124,7 @@ rule ranking_table:
         predicted=files_of(rules.fine_tune.output.predictions, RankingJob.of, "measured_keys"),
         built=files_of(rules.production.output.lenses, RankingJob.of, "built_keys"),
     output:
-        csv=shown("results/{study}/tables/ranking.csv", "ranking", table="ranking"),
+        csv=report_output("results/{study}/tables/ranking.csv", "ranking", table="ranking"),
         md="results/{study}/tables/ranking.md",
         page="results/{study}/ranking.html",
     log:
@@ -146,9 +146,13 @@ rule merit_function_table:
         psfs=files_of(rules.psfs.output.psf, report_jobs.MeritFunctionJob.of),
         frozen=files_of(rules.fine_tune.output.frozen, report_jobs.MeritFunctionJob.of, "frozen_keys"),
     output:
-        csv=shown("results/{study}/tables/merit_function.csv", "merit_function", "Merit function", result="table"),
+        csv=report_output(
+            "results/{study}/tables/merit_function.csv", "merit_function", "Merit function", result="table"
+        ),
         md="results/{study}/tables/merit_function.md",
-        figure=shown("results/{study}/figures/merit_function.png", "merit_function", "Merit function", result="figure"),
+        figure=report_output(
+            "results/{study}/figures/merit_function.png", "merit_function", "Merit function", result="figure"
+        ),
     log:
         "results/{study}/logs/merit_function_table.log",
     benchmark:
@@ -184,7 +188,7 @@ rule report_page:
         capture_file=rules.captures.output.images,
         answers=rules.captures.output.answers,
     output:
-        report=shown("results/{study}/report.html", "report", "Page", result="page"),
+        report=report_output("results/{study}/report.html", "report", "Page", result="page"),
         answer="results/{study}/answer.svg",
     log:
         "results/{study}/logs/report_page.log",

@@ -74,9 +74,9 @@ rule tasks_table:
         lenses=files_of(rules.design.output.lens, task_jobs.tasks, "drawn_keys"),
         psfs=files_of(rules.psfs.output.psf, task_jobs.tasks, "drawn_keys"),
     output:
-        csv=shown("results/{study}/tables/tasks.csv", "tasks", table="other tasks"),
+        csv=report_output("results/{study}/tables/tasks.csv", "tasks", table="other tasks"),
         md="results/{study}/tables/tasks.md",
-        figure=shown("results/{study}/figures/tasks-psfs.png", "tasks", table="PSFs of other tasks"),
+        figure=report_output("results/{study}/figures/tasks-psfs.png", "tasks", table="PSFs of other tasks"),
     log:
         "results/{study}/logs/tasks_table.log",
     benchmark:

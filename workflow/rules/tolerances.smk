@@ -28,11 +28,11 @@ rule production:
 rule tolerances_table:
     """Make the table of built lenses: loss of accuracy in manufacture, compared with imaging lenses."""
     input:
-        built_lenses=files_of(rules.production.output.lenses, built_lenses.built),
+        built_lenses=files_of(rules.production.output.lenses, built_lenses.built_contents),
     output:
-        csv=shown("results/{study}/tables/tolerances.csv", "tolerances", table="built lenses"),
+        csv=report_output("results/{study}/tables/tolerances.csv", "tolerances", table="built lenses"),
         md="results/{study}/tables/tolerances.md",
-        compared_csv=shown(
+        compared_csv=report_output(
             "results/{study}/tables/tolerances.compared.csv", "tolerances", table="built lenses, compared"
         ),
     log:
@@ -43,6 +43,6 @@ rule tolerances_table:
         **needs("tolerances_table"),
     params:
         **call("tasklens.study.report.tolerances.make"),
-        settings=settings(built_lenses.built),
+        settings=settings(built_lenses.built_contents),
     script:
         "../scripts/job.py"

@@ -114,7 +114,7 @@ def least_accuracy(sharp: _Accuracy, chance: float) -> _Accuracy:
     return (sharp + chance) / 2
 
 
-def failed(accuracy: float, sharp: float, chance: float, energy_in_window: float) -> bool:
+def has_failed(accuracy: float, sharp: float, chance: float, energy_in_window: float) -> bool:
     """Return whether a design failed: too little energy or, with a fine-tuned classifier, too little accuracy.
 
     Args:

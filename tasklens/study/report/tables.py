@@ -19,7 +19,7 @@ from tasklens.settings.names import SHARP
 from tasklens.show import headings
 from tasklens.show.headings import PAPER, STD
 from tasklens.show.publish import publish
-from tasklens.study.report.measurements import FIELD, Measurements, failed
+from tasklens.study.report.measurements import FIELD, Measurements, has_failed
 from tasklens.study.tables import TableContents
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
@@ -72,7 +72,7 @@ def _row(
     """Return the row of a lens, from its metrics and those of the sharp images."""
     elements, _, design = lens.partition("-")
     values = metrics | measured.lens_values(lens, seed) | {"reference_accuracy": sharp["accuracy"]}
-    lost = failed(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
+    lost = has_failed(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
     keys = {"elements": elements, "design": design, "classifier": classifier, "seed": seed}
     return keys | values | {"failed": float(lost)}
 

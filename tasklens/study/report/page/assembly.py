@@ -4,6 +4,7 @@ import math
 import os
 import platform
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,6 @@ from tasklens.show.headings import STD
 from tasklens.show.optimality import optimum
 from tasklens.study.report import answer as answer_figure
 from tasklens.study.report.page import captures, charts, gallery, tables, words
-from tasklens.study.report.page.page_files import PageFiles, table_name
 from tasklens.study.report_jobs import ReportJob
 
 LARGEST_MB = 15.0
@@ -38,7 +38,33 @@ _CAPTIONS = {
 _SPREAD = " ± is the standard deviation over seeds."
 
 
-def make(settings: ReportJob, files: PageFiles, report: Path, answer: Path) -> None:
+@dataclass(frozen=True)
+class PageFiles:
+    """Input files of a page, as the rule names them.
+
+    Attributes:
+        table_files, seeds_files, provenance: tables, their rows by seed, and facts about the machine.
+        histories, restorations: histories of each lens, and of the restoration networks.
+        optional, drawn: tables and figures that are shown if they exist.
+        benchmarks: folder of Snakemake's benchmarks.
+    """
+
+    table_files: Sequence[Path]
+    seeds_files: Sequence[Path]
+    provenance: Sequence[Path]
+    verdicts: Path
+    psf_tail: Path
+    effort: Path
+    histories: Sequence[Path]
+    restorations: Sequence[Path]
+    capture_file: Path
+    answers: Path
+    optional: Sequence[Path]
+    drawn: Sequence[Path]
+    benchmarks: Path
+
+
+def make(settings: ReportJob, files: PageFiles, lens_files: gallery.LensFiles, report: Path, answer: Path) -> None:
     """Write the page, and the figure of its answer.
 
     Raises:
@@ -46,14 +72,20 @@ def make(settings: ReportJob, files: PageFiles, report: Path, answer: Path) -> N
     """
     by_seed = {name: read_table(path) for name, path in zip(settings.tables, files.seeds_files, strict=True)}
     _draw_answer(answer, settings, next(iter(by_seed.items())), read_table(files.verdicts))
-    page = render(settings, files, by_seed, answer)
+    page = render(settings, files, lens_files, by_seed, answer)
     size_mb = len(page.encode()) / 1e6
     if size_mb > LARGEST_MB:
         raise FileError(f"{report}: would have {size_mb:.1f} MB, more than {LARGEST_MB:.0f}: show fewer lenses")
     write_text(report, page)
 
 
-def render(settings: ReportJob, files: PageFiles, by_seed: Mapping[str, pandas.DataFrame], answer: Path) -> str:
+def render(
+    settings: ReportJob,
+    files: PageFiles,
+    lens_files: gallery.LensFiles,
+    by_seed: Mapping[str, pandas.DataFrame],
+    answer: Path,
+) -> str:
     """Return the page as HTML.
 
     Args:
@@ -67,7 +99,7 @@ def render(settings: ReportJob, files: PageFiles, by_seed: Mapping[str, pandas.D
     frames = {name: read_table(path) for name, path in paths.items()}
     if missing := set(settings.elements) - set(frames["psf_tail"]["lens"]):
         raise damaged(files.psf_tail, f"without {', '.join(sorted(missing))}")
-    lenses = dict(zip(settings.elements, files.lenses, strict=True))
+    lenses = dict(zip(settings.elements, lens_files.lenses, strict=True))
     table1 = frames.get("table1")
     elements = dict.fromkeys(settings.elements.values())
     time = durations(files.benchmarks)
@@ -95,7 +127,7 @@ def render(settings: ReportJob, files: PageFiles, by_seed: Mapping[str, pandas.D
         ],
         "drawn": {path.stem: pictures.link(path) for path in files.drawn if path.exists()},
         "charts": _charts(settings, elements, frames, by_seed.get("table1")),
-        "gallery": gallery.entries(settings, files, by_seed.get("table1")),
+        "gallery": gallery.entries(settings, lens_files, by_seed.get("table1")),
         "captures": captures.read(files.capture_file, files.answers, settings.supervisor),
         "histories": _histories(settings, files),
         "time": tables.build("time", "Time and memory of each kind of job", time) if len(time) else None,
@@ -226,3 +258,8 @@ def machine(provenance: Sequence[Path]) -> list[tuple[str, str]]:
             versions.setdefault(package, {})[version] = None
     entries += [("commit of the tables", ", ".join(commits))] if commits else []
     return entries + [(package, ", ".join(numbers)) for package, numbers in versions.items()]
+
+
+def table_name(table: Path) -> str:
+    """Return the name of a table from that of its file."""
+    return table.stem.replace(".", "_")

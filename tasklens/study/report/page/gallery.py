@@ -1,6 +1,7 @@
 """Entries of the gallery: drawings, numbers, limits and files of each lens."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,6 @@ from tasklens.runtime.files import read_yaml
 from tasklens.show import pictures, vector_files
 from tasklens.show.glance import fields_by_angle
 from tasklens.study.report.measurements import FIELD, lens_values
-from tasklens.study.report.page.page_files import PageFiles
 from tasklens.study.report_jobs import ReportJob
 
 _HEADING = "## Manufacturability\n\n"
@@ -30,7 +30,21 @@ _ACCURACIES = {
 }
 
 
-def entries(settings: ReportJob, files: PageFiles, by_seed: pandas.DataFrame | None) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class LensFiles:
+    """Files of each lens, as the rule names them: prescriptions, pages, downloads and drawings."""
+
+    lenses: Sequence[Path]
+    pages: Sequence[Path]
+    zemax: Sequence[Path]
+    catalogues: Sequence[Path]
+    sections: Sequence[Path]
+    spots: Sequence[Path]
+    psfs: Sequence[Path]
+    curves: Sequence[Path]
+
+
+def entries(settings: ReportJob, files: LensFiles, by_seed: pandas.DataFrame | None) -> list[dict[str, Any]]:
     """Return an entry for each lens; `by_seed` has the rows of table 1 by seed.
 
     An entry has the `facts` (name, value) of a lens, the most important first; its `pictures` (data URI, text
