@@ -2,10 +2,11 @@
 
 import inspect
 from collections.abc import Callable, Sequence
+from copy import copy
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
 
 import typer
 import yaml
@@ -19,31 +20,10 @@ if TYPE_CHECKING:
 
 PANEL = "Network and photographs"  # of their options in the help
 _LENS = "Overrides, and values missing from the file"
+_Group = TypeVar("_Group", bound=Callable[..., Any])
 
-FieldOfView = Annotated[float | None, typer.Option(help="Full field of view (degrees).", rich_help_panel=_LENS)]
-FNumber = Annotated[
-    float | None,
-    typer.Option(help="F-number: focal length / diameter of the entrance pupil.", rich_help_panel=_LENS),
-]
-PixelPitch = Annotated[float | None, typer.Option(help="Pixel pitch (um).", rich_help_panel=_LENS)]
-KernelSize = Annotated[int | None, typer.Option(help="Width of the PSF window (pixels, odd).", rich_help_panel=_LENS)]
-Wavelengths = Annotated[
-    str | None,
-    typer.Option(help="Wavelengths (um), the reference in the middle: 0.65,0.55,0.47.", rich_help_panel=_LENS),
-]
-Focus = Annotated[
-    str | None,
-    typer.Option(
-        help="Image plane: file, as in the file; mtf or best, at the peak of the MTF, the default with another object "
-        "distance; spot, at the smallest spot; or its shift away from the lens (um).",
-        rich_help_panel=_LENS,
-    ),
-]
-ObjectDistance = Annotated[
-    float | None,
-    typer.Option("--object-distance", help="Distance of the object (mm), or inf.", rich_help_panel=_LENS),
-]
 Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of all random numbers.")]
+FieldOfView = Annotated[float | None, typer.Option(help="Full field of view (degrees).", rich_help_panel=_LENS)]
 Catalogues = Annotated[
     list[Path] | None, typer.Option(help="Glass catalogue of a .zmx file (.agf or YAML).", rich_help_panel=_LENS)
 ]
@@ -52,14 +32,35 @@ Configuration = Annotated[
 ]
 
 
+def in_panel(panel: str) -> Callable[[_Group], _Group]:
+    """Return a decorator of a group of options: their help is in a panel, unless an option names another one."""
+
+    def decorate(group: _Group) -> _Group:
+        group.panel = panel  # type: ignore[attr-defined]  # `with_options` reads it
+        return group
+
+    return decorate
+
+
+@in_panel(_LENS)
 def reader(
     field_of_view: FieldOfView = None,
-    f_number: FNumber = None,
-    pixel_pitch: PixelPitch = None,
-    kernel_size: KernelSize = None,
-    wavelengths: Wavelengths = None,
-    focus: Focus = None,
-    object_distance: ObjectDistance = None,
+    f_number: Annotated[
+        float | None, typer.Option(help="F-number: focal length / diameter of the entrance pupil.")
+    ] = None,
+    pixel_pitch: Annotated[float | None, typer.Option(help="Pixel pitch (um).")] = None,
+    kernel_size: Annotated[int | None, typer.Option(help="Width of the PSF window (pixels, odd).")] = None,
+    wavelengths: Annotated[
+        str | None, typer.Option(help="Wavelengths (um), the reference in the middle: 0.65,0.55,0.47.")
+    ] = None,
+    focus: Annotated[
+        str | None,
+        typer.Option(
+            help="Image plane: file, as in the file; mtf or best, at the peak of the MTF, the default with another "
+            "object distance; spot, at the smallest spot; or its shift away from the lens (um)."
+        ),
+    ] = None,
+    object_distance: Annotated[float | None, typer.Option(help="Distance of the object (mm), or inf.")] = None,
     catalogue: Catalogues = None,
     configuration: Configuration = None,
 ) -> Callable[[Path], "LensFile"]:
@@ -98,42 +99,31 @@ def _focus(text: str) -> str | float:
         return "mtf" if text == "best" else text
 
 
+@in_panel(PANEL)
 @dataclass(frozen=True)
 class PhotographOptions:
     """A folder of photographs."""
 
     images: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.", rich_help_panel=PANEL
-        ),
+        Path | None, typer.Option(help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.")
     ] = None
-    size: Annotated[
-        int | None, typer.Option(help="Side of the photographs (pixels); by default 224.", rich_help_panel=PANEL)
-    ] = None
+    size: Annotated[int | None, typer.Option(help="Side of the photographs (pixels); by default 224.")] = None
 
 
+@in_panel(PANEL)
 @dataclass(frozen=True)
 class NetworkOptions:
     """A network with its weights."""
 
-    network: Annotated[
-        str | None,
-        typer.Option(help="Name of the network in timm, or package.module:function.", rich_help_panel=PANEL),
-    ] = None
-    weights: Annotated[
-        Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.", rich_help_panel=PANEL)
-    ] = None
-    pretrained: Annotated[
-        bool, typer.Option("--pretrained", help="Use published weights from timm's hub.", rich_help_panel=PANEL)
-    ] = False
+    network: Annotated[str | None, typer.Option(help="Name of the network in timm, or package.module:function.")] = None
+    weights: Annotated[Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.")] = None
+    pretrained: Annotated[bool, typer.Option("--pretrained", help="Use published weights from timm's hub.")] = False
     outputs: Annotated[
         Literal["classes", "imagenet", "all_imagenet"],
-        typer.Option(help="Outputs of the network: the folder's classes, or ImageNet's.", rich_help_panel=PANEL),
+        typer.Option(help="Outputs of the network: the folder's classes, or ImageNet's."),
     ] = "classes"
     argument: Annotated[
-        list[str] | None,
-        typer.Option(help="Argument of timm's create_model, or of the function: img_size=64.", rich_help_panel=PANEL),
+        list[str] | None, typer.Option(help="Argument of timm's create_model, or of the function: img_size=64.")
     ] = None
 
     def settings(self) -> dict[str, Any] | None:
@@ -184,7 +174,7 @@ def with_options(**groups: Callable[..., Any]) -> Callable[[Callable[..., None]]
         groups: by parameter, a data class or a function whose parameters are options, as typer declares them. The
             command gets the object, or what the function returns.
     """
-    options = {name: inspect.signature(group, eval_str=True).parameters for name, group in groups.items()}
+    options = {name: _options(group) for name, group in groups.items()}
 
     def decorate(command: Callable[..., None]) -> Callable[..., None]:
         own = inspect.signature(command, eval_str=True).parameters
@@ -205,3 +195,15 @@ def with_options(**groups: Callable[..., Any]) -> Callable[[Callable[..., None]]
         return grouped
 
     return decorate
+
+
+def _options(group: Callable[..., Any]) -> dict[str, inspect.Parameter]:
+    """Return the options of a group by name, each in its panel of the help."""
+    options = dict(inspect.signature(group, eval_str=True).parameters)
+    for name, parameter in options.items():
+        kind, option = get_args(parameter.annotation)
+        if option.rich_help_panel is None:
+            option = copy(option)
+            option.rich_help_panel = getattr(group, "panel", None)
+            options[name] = parameter.replace(annotation=Annotated[kind, option])
+    return options
