@@ -10,8 +10,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from tasklens.study.ranking_settings import RankingSettings
-from tasklens.study.study import Study
+from tasklens.study.study import RankingSettings, Study
 
 ROOT = Path(__file__).parents[1]
 _KEYS = "reference/study-file.md"

@@ -1,7 +1,7 @@
 """The jobs that a study implies, counted from its lenses, classifiers and tables instead of from the rules."""
 
 from tasklens.settings.starts import best_of, imaging_designs
-from tasklens.study.parts import parts
+from tasklens.study.loading import parts
 from tasklens.study.study import Study
 
 PAGE_JOBS = ("psf_tail_table", "effort_table", "captures", "report_page")

@@ -13,8 +13,8 @@ from tasklens.optics.analysis import datasheet
 from tasklens.optics.analysis.spots import evaluation_psf, spot_diagram
 from tasklens.optics.view import View, view_of_spec
 from tasklens.settings.specification import Spec
-from tasklens.show import figures
-from tasklens.show.scale_bar import scale_bar
+from tasklens.show import curves, figures, spot_panels
+from tasklens.show.panel import Panel, scale_bar, shown_fields
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def panel(start):
     """A random doublet, which is far from sharp."""
     view = view_of_spec(Spec(kernel_size=11))
     values = datasheet.figures(start, view, 64)
-    return figures.panel_of("random", start, view, evaluation_psf(start, view, 64), values)
+    return Panel.of("random", start, view, evaluation_psf(start, view, 64), values)
 
 
 def draw(function, panel) -> Figure:
@@ -44,7 +44,7 @@ def bars_of(figure: Figure) -> list[str]:
 
 
 def test_the_spots_say_what_each_colour_and_circle_is(panel):
-    figure = draw(figures.draw_spots, panel)
+    figure = draw(spot_panels.draw_spots, panel)
     labels = legend_of(figure)
     assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths_um] == labels[:3]
     assert labels[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
@@ -60,7 +60,7 @@ def test_the_spots_say_what_each_colour_and_circle_is(panel):
 
 
 def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
-    figure = draw(figures.draw_psfs, panel)
+    figure = draw(spot_panels.draw_psfs, panel)
     assert len(figure.axes) == 2 * len(panel.psf)
     assert all(axes.get_ylim()[0] < axes.get_ylim()[1] for axes in figure.axes)
     assert all(axes.get_images()[0].origin == "lower" for axes in figure.axes)
@@ -68,13 +68,13 @@ def test_the_strip_has_the_psfs_of_all_fields_upward(panel):
 
 
 def test_section_and_curves_have_legends_and_a_scale_bar(panel):
-    section, curves = draw(figures.draw_section, panel), draw(figures.draw_curves, panel)
+    section, charts = draw(figures.draw_section, panel), draw(curves.draw_curves, panel)
     labels = legend_of(section)
     assert "stop" in labels and all(
         any(text.startswith(name) for text in labels) for name in panel.field_names.values()
     )
     assert len(bars_of(section)) == 1 and bars_of(section)[0].endswith(" mm")
-    labels = legend_of(curves)
+    labels = legend_of(charts)
     assert {"axis T", "corner S", "diffraction limit", "axis", "a pixel", "PSF window"} <= set(labels)
 
 
@@ -107,7 +107,7 @@ def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
 def test_scale_bars_of_lenses_in_one_figure_agree(panel):
     """Bars of a lens four times as long, with windows four times as wide, have the same lengths as the small lens's."""
     lens, view = panel.lens.scaled(4.0), replace(panel.view, pixel_pitch_um=4 * panel.view.pixel_pitch_um)
-    large = figures.panel_of("large", lens, view, panel.psf, panel.figures)
+    large = Panel.of("large", lens, view, panel.psf, panel.figures)
     small, alone, both = (bars_of(figures.figure_of(panels)) for panels in ([panel], [large], [panel, large]))
     assert sorted(both)[::2] == sorted(both)[1::2] and set(alone) != set(small)
 
@@ -130,4 +130,4 @@ def test_spots_of_any_size_fill_their_frame(panel, factor):
 )
 def test_fields_are_named_by_their_distance_from_the_axis(heights, names):
     view = View(f64([[0.0, height] for height in heights]), 2.9, (0.6, 0.55, 0.5), 1.8, 11)
-    assert figures.shown_fields(view) == names and list(figures.shown_fields(view)) == list(names)
+    assert shown_fields(view) == names and list(shown_fields(view)) == list(names)

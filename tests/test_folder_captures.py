@@ -9,7 +9,7 @@ import torch
 from PIL import Image
 
 import tasklens
-from tasklens.api import folder_captures
+from tasklens.api import captures
 from tasklens.cli.app import main
 from tasklens.optics.view import drawn_points
 
@@ -65,7 +65,7 @@ def test_each_photograph_is_captured_at_its_field(photos, capsys):
 
 def test_photographs_that_cannot_be_read_are_named_before_the_first_capture(photos, monkeypatch, capsys):
     """All of them, so that the same command does it all after they are repaired."""
-    monkeypatch.setattr(folder_captures, "_BLOCK", 1)
+    monkeypatch.setattr(captures, "_BLOCK", 1)
     for broken in ("cat/a.png", "dog/c.PNG"):
         (photos / broken).rename(photos / f"{broken}.kept")
         (photos / broken).write_text("no image")

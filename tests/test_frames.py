@@ -17,7 +17,6 @@ from tasklens.optics.view import view_of_spec
 from tasklens.settings.specification import Spec
 from tasklens.study.jobs import frames as frames_job
 from tasklens.study.loading import parse
-from tasklens.study.report import frames
 
 LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
 SHAPE = 108, 192
@@ -72,13 +71,13 @@ def study(tmp_path, monkeypatch):
 
 def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monkeypatch):
     """Columns and captures follow the rule, frames have the sensor's pixels, and the file exists."""
-    arguments, draw = {}, frames.draw
+    arguments, draw = {}, frames_job.draw
 
     def drawn(path, title, shown, answered, rule):
         arguments.update(title=title, shown=shown, answered=answered, rule=rule)
         draw(path, title, shown, answered, rule)
 
-    monkeypatch.setattr(frames, "draw", drawn)
+    monkeypatch.setattr(frames_job, "draw", drawn)
     finish("frames", study, elements="doublet", seed=0)
     assert arguments["shown"]
     for captures in arguments["shown"].values():
@@ -100,7 +99,7 @@ def test_every_task_driven_lens_stands_beside_the_best_imaging_lens(study, monke
 
 def test_networks_that_agree_leave_the_frames_alone(study, monkeypatch):
     answers = []
-    monkeypatch.setattr(frames, "draw", lambda path, title, shown, answer, rule: answers.append(answer))
+    monkeypatch.setattr(frames_job, "draw", lambda path, title, shown, answer, rule: answers.append(answer))
     predictions = [outputs("fine_tune", study, lens=n, measured_name="small", seed=0).predictions for n in (TASK, BEST)]
     shutil.copy(*predictions)
     finish("frames", study, elements="doublet", seed=0)

@@ -139,7 +139,7 @@ def test_diffraction_changes_no_design():
     for rule, wildcards in (("fine_tune", {"measured_name": "small"}), ("restore", {})):
         assert psf in job_of(rule, study, lens="singlet-imaging1", seed=0, **wildcards).reads
     with pytest.raises(StudyError, match="tolerances: built lenses have no diffraction"):
-        built_lenses.built(study)
+        built_lenses.built_contents(study)
     with pytest.raises(StudyError, match="tolerances: built lenses have no diffraction"):
         job_of("production", study, lens="singlet-imaging1", seed=0)
 

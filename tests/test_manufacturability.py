@@ -6,7 +6,7 @@ import pytest
 from examples import f64, make_lens, materials
 
 from tasklens.optics.analysis.shapes import shapes
-from tasklens.show import manufacturability
+from tasklens.show import certificate
 
 COC, AIR = materials("COC", "air")
 
@@ -44,21 +44,21 @@ def test_page_says_whether_it_can_be_made():
     margins, violated = {"max_slope": 0.01, "min_air_gap": 0.02}, {"max_slope": -0.03, "min_air_gap": 0.02}
     calm, lively = {"radius 1": 0.3, "thickness 1": 0.4}, {"radius 1": 3.0, "thickness 1": 4.0}
     surfaces = shapes(asphere(0.4, 0.0))
-    page = manufacturability.markdown(margins, surfaces, calm, "precision_moulding", 1.8)
+    page = certificate.manufacturability(margins, surfaces, calm, "precision_moulding", 1.8)
     assert page.startswith("## Manufacturability\n") and "Within precision moulding. All limits are kept" in page
     assert "move them by 0.2 um (RMS over many lenses" in page and "thickness 1 (0.4 um)" in page
     assert "0.0200 mm" in page and "23.6" in page
-    assert "Needs tighter tolerances" in manufacturability.markdown(
+    assert "Needs tighter tolerances" in certificate.manufacturability(
         margins, surfaces, lively, "precision_moulding", 1.8
     )
-    page = manufacturability.markdown(violated, surfaces, calm, "precision_moulding", 1.8)
+    page = certificate.manufacturability(violated, surfaces, calm, "precision_moulding", 1.8)
     assert "Not manufacturable: it violates max slope by 0.03." in page
 
 
 @pytest.mark.parametrize("moved_um, words", [(1.8, "Within"), (1.81, "Needs tighter"), (20.0, "by 20.0 um RMS")])
 def test_a_lens_is_robust_up_to_a_pixel(moved_um, words):
-    assert words in manufacturability.verdict({"max_slope": 0.0}, moved_um, "precision moulding", 1.8)
+    assert words in certificate.limits_verdict({"max_slope": 0.0}, moved_um, "precision moulding", 1.8)
 
 
 def test_a_margin_that_is_no_number_is_violated():
-    assert "Not manufacturable" in manufacturability.verdict({"max_slope": math.nan}, 12.0, "precision moulding", 12.0)
+    assert "Not manufacturable" in certificate.limits_verdict({"max_slope": math.nan}, 12.0, "precision moulding", 12.0)

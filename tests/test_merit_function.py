@@ -71,8 +71,7 @@ def write_results(study, light: float) -> None:
     They have a weight of 4 in one band, a different one per classifier.
     """
     random = numpy.random.default_rng(2)
-    contents = MeritFunctionJob.of(study).contents
-    for lens in contents.lenses:
+    for lens in MeritFunctionJob.of(study).lenses:
         psf = gaussians(random.uniform(0.4, 3, 9).tolist())
         path = outputs("psfs", study, lens=lens, seed=0).psf
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -106,7 +105,6 @@ def test_too_few_lenses_make_no_merit_function(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     study = parse(tiny_study())
     settings = MeritFunctionJob.of(study)
-    lenses = settings.contents.lenses[:2]
-    few = settings.model_copy(update={"contents": settings.contents.model_copy(update={"lenses": lenses})})
+    few = settings.model_copy(update={"lenses": settings.lenses[:2]})
     with pytest.raises(FileError, match="2 lenses"):
         merit_function.make(few, [], [Path()] * len(few.frozen_keys), Path("a.csv"), Path("a.md"), Path("a.png"))

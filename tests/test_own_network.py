@@ -13,7 +13,7 @@ from torch.nn.functional import cross_entropy, mse_loss
 from torch.utils.data import DataLoader, Subset
 
 import tasklens
-from tasklens.api.verdict import verdict
+from tasklens.api.design import verdict
 from tasklens.design import objective
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.objective import loss_at_psf

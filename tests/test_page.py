@@ -22,7 +22,6 @@ from tasklens.study.claims import (
     PAPER_CLAIMS,
 )
 from tasklens.study.report.page import assembly, captures, charts, tables, words
-from tasklens.study.report.page.page_files import table_name
 from tasklens.study.report.verdicts import verdict
 
 KNOWN = 0.001  # p-value of a difference that is significant
@@ -177,7 +176,7 @@ def test_optional_tables_are_known_by_the_names_of_their_files():
     """Each has a caption; another name would be taken for an ablation, and its chart left out."""
     rules = [workflow().get_rule(f"{name}_table") for name in ("merit_function", "tolerances", "tasks")]
     files = [Path(str(path)) for rule in rules for path in rule.output if str(path).endswith(".csv")]
-    assert len(files) == 4 and {*map(table_name, files)} <= set(assembly._CAPTIONS)
+    assert len(files) == 4 and {*map(assembly.table_name, files)} <= set(assembly._CAPTIONS)
 
 
 TABLE = pandas.DataFrame(

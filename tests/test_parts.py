@@ -5,8 +5,7 @@ from examples import tiny_study
 from rules import ROOT, job_of, workflow
 from snakemake.iocontainers import Wildcards
 
-from tasklens.study.loading import load, parse
-from tasklens.study.parts import parts, whole_study_name
+from tasklens.study.loading import load, parse, parts, whole_study_name
 from tasklens.study.study import Study
 
 

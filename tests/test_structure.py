@@ -118,7 +118,7 @@ def test_parsing_a_study_needs_no_torch():
 
 
 def test_tables_need_no_torch():
-    names = ("tables", "verdicts", "verification", "tails", "ablations", "measurements")
+    names = ("tables", "verdicts", "verification", "ablations", "measurements")
     modules = [f"tasklens.study.report.{name}" for name in names]
     assert imported_with([*modules, "tasklens.show.bootstrap", "tasklens.show.publish"], ("torch", "matplotlib")) == ""
 
@@ -132,7 +132,6 @@ UNUSED = {  # by jobs
     "captures": ("numba", "matplotlib", "torchvision.transforms.v2"),
     "psf_tail": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib"),
     "certificate": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
-    "drawing": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
     "restore": ("numba", "pandas", "matplotlib"),
     "production": ("torchvision.transforms.v2", "matplotlib"),
     "reference": ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2"),
@@ -143,7 +142,7 @@ UNUSED = {  # by jobs
 CHAINS = [  # each job leaves out at least what the next ones do, so that one process imports them in turn
     ["images", "reference", "classify", "captures", "production"],
     ["restore", "design"],
-    ["psf_tail", "certificate", "drawing"],
+    ["psf_tail", "certificate"],
 ]
 
 

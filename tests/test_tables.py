@@ -14,7 +14,7 @@ from tasklens.settings.names import SHARP, measured
 from tasklens.show import headings
 from tasklens.study.loading import dump, parse
 from tasklens.study.report import tables
-from tasklens.study.report.failure import failed
+from tasklens.study.report.measurements import has_failed
 from tasklens.study.study import TABLES
 from tasklens.study.tables import table as table_of
 
@@ -130,7 +130,7 @@ def test_table3_counts_failures_by_its_rule(study):
 @pytest.mark.parametrize("accuracy, inside, expected", [(50, 0.5, False), (49.9, 1, True), (90, 0.49, True)])
 def test_failure_rule(accuracy, inside, expected):
     """Chance 10 %, reference 90 %: 50 % is half-way."""
-    assert failed(accuracy, REFERENCE, CHANCE, inside) is expected
+    assert has_failed(accuracy, REFERENCE, CHANCE, inside) is expected
 
 
 def test_table4_is_about_restored_captures(study):

@@ -16,7 +16,7 @@ from tasklens.optics.analysis.tail import RADII_UM, encircled_energy, tail
 from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import view_of_spec
 from tasklens.settings.specification import Spec
-from tasklens.study.report.tails import publish_tails
+from tasklens.study.jobs.psf_tail import publish_tails
 
 
 def tail_of(monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.MISSED) -> tuple[dict, pandas.DataFrame]:

@@ -11,7 +11,7 @@ from PIL import Image
 from reference_files import SHARED
 
 import tasklens
-from tasklens.api.verdict import verdict
+from tasklens.api.design import verdict
 from tasklens.cli.app import main
 from tasklens.design.request import LensRequest
 from tasklens.design.single import BASELINES, designs

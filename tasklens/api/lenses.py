@@ -31,7 +31,8 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, as_paths, positive
 from tasklens.runtime.tensors import as_tensor, explained
 from tasklens.settings.specification import Spec
-from tasklens.show import drawing
+from tasklens.show.figures import figure_of
+from tasklens.show.panel import Panel
 
 
 def load_lens(
@@ -164,7 +165,7 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     Example:
         >>> tasklens.draw(lens, view).savefig("lens.pdf")
     """
-    return drawing.figure({title: (lens, view)}, rays)
+    return figure_of([Panel.compute(title, lens, view, rays)])
 
 
 @explained

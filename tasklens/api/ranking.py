@@ -139,7 +139,7 @@ def rank(
         warnings.warn(f"rank: {error}", stacklevel=3)
     except InputError as error:
         raise InputError(f"rank: {error}") from None
-    return measured(lenses, subject, rays)
+    return measure_lenses(lenses, subject, rays)
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ def on_sharp_images(network: nn.Module, dataset: ImageDataset, outputs: str = "c
     return OnSharpImages(classifier, dataset, accuracy, answer.shape[1] if used is None else len(used))
 
 
-def measured(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, rays: int = _RAYS) -> Ranking:
+def measure_lenses(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImages, rays: int = _RAYS) -> Ranking:
     """Return the ranking of lenses for a network."""
     correct, at_nine = {}, {}
     for name, (lens, view) in lenses.items():

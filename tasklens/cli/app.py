@@ -7,7 +7,6 @@ import typer
 from typer.main import get_command
 
 from tasklens.cli import captures, design, lens, rank, study
-from tasklens.cli.schema import schema
 from tasklens.runtime.job import exit_status, run_program
 
 app = typer.Typer(
@@ -15,7 +14,6 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-study.app.command()(schema)
 for _command in (captures.simulate, captures.captures):
     lens.app.command()(_command)
 app.add_typer(lens.app, name="lens", help="Inspect lenses: .yaml or Zemax .zmx files.")

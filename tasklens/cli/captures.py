@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from tasklens.cli.lens import Diffraction, File, Rays
-from tasklens.cli.lens_options import Seed, reader
-from tasklens.cli.option_groups import with_options
-from tasklens.cli.outputs import Force, new_file, remarks_about, say
-from tasklens.cli.progress_bars import progress_bars
+from tasklens.cli.options import Seed, reader, with_options
+from tasklens.cli.outputs import Force, new_file, progress_bars, remarks_about, say
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -125,7 +123,7 @@ def captures(
     rays: Rays = 4096,
 ) -> None:
     """Simulate captures of all photographs of a folder, each at one field, to train a network elsewhere."""
-    from tasklens.api.folder_captures import FIELDS, capture_folder
+    from tasklens.api.captures import FIELDS, capture_folder
     from tasklens.settings.capture_settings import SensorSettings
 
     lens = read(file)

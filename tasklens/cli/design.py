@@ -10,11 +10,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tasklens.cli.lens_options import Seed
-from tasklens.cli.network_options import PANEL, NetworkOptions, PhotographOptions, parse_settings
-from tasklens.cli.option_groups import with_options
-from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
-from tasklens.cli.progress_bars import progress_bars
+from tasklens.cli.options import PANEL, NetworkOptions, PhotographOptions, Seed, in_panel, parse_settings, with_options
+from tasklens.cli.outputs import (
+    AsJson,
+    Force,
+    new_catalogue,
+    new_file,
+    print_json,
+    progress_bars,
+    remarks_about,
+    say,
+    say_catalogue,
+)
 from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
@@ -46,6 +53,7 @@ class MethodOptions:
     ] = None
 
 
+@in_panel(_START)
 @dataclass(frozen=True)
 class StartOptions:
     """The start of a design, and what of it is free."""
@@ -55,24 +63,17 @@ class StartOptions:
         typer.Option(
             help="Lens to improve, .zmx or .yaml; its glasses stay. flat: plane-parallel plates, as in the paper, with "
             "the schedule of the studies (task, log_image_error, correlation): as accurate as from imaging lenses, the "
-            "default (97.5 and 97.6 % on textures, one seed), in up to five times as many steps.",
-            rich_help_panel=_START,
+            "default (97.5 and 97.6 % on textures, one seed), in up to five times as many steps."
         ),
     ] = None
     free: Annotated[
         str | None,
-        typer.Option(
-            help="Free variables and surfaces, numbered from 0: curvature,thickness:1+3,alpha_4..10.",
-            rich_help_panel=_START,
-        ),
+        typer.Option(help="Free variables and surfaces, numbered from 0: curvature,thickness:1+3,alpha_4..10."),
     ] = None
-    configuration: Annotated[
-        int | None, typer.Option(help="Configuration number, if the .zmx file has several.", rich_help_panel=_START)
-    ] = None
-    object_distance: Annotated[
-        float | None,
-        typer.Option(help="Only inf: move the file's object to infinity.", rich_help_panel=_START),
-    ] = None
+    configuration: Annotated[int | None, typer.Option(help="Configuration number, if the .zmx file has several.")] = (
+        None
+    )
+    object_distance: Annotated[float | None, typer.Option(help="Only inf: move the file's object to infinity.")] = None
 
     @property
     def is_flat(self) -> bool:
@@ -90,26 +91,17 @@ class StartOptions:
             raise InputError("--free, --configuration, --object-distance: only with --start FILE")
 
 
+@in_panel(_SPEC)
 @dataclass(frozen=True)
 class SpecOptions:
     """Specification of the lens."""
 
-    f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.", rich_help_panel=_SPEC)] = None
-    field_of_view: Annotated[
-        float | None, typer.Option(help="Full field of view (degrees); by default 68.8.", rich_help_panel=_SPEC)
-    ] = None
-    diagonal: Annotated[
-        float | None, typer.Option(help="Diagonal of the sensor (mm); by default 4.", rich_help_panel=_SPEC)
-    ] = None
-    pixel_pitch: Annotated[
-        float | None, typer.Option(help="Pixel pitch (um); by default 1.8.", rich_help_panel=_SPEC)
-    ] = None
-    kernel_size: Annotated[
-        int | None, typer.Option(help="Width of the PSF window (pixels); by default 51.", rich_help_panel=_SPEC)
-    ] = None
-    wavelengths: Annotated[
-        str | None, typer.Option(help="Wavelengths (um); by default 0.6563,0.5893,0.4861.", rich_help_panel=_SPEC)
-    ] = None
+    f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.")] = None
+    field_of_view: Annotated[float | None, typer.Option(help="Full field of view (degrees); by default 68.8.")] = None
+    diagonal: Annotated[float | None, typer.Option(help="Diagonal of the sensor (mm); by default 4.")] = None
+    pixel_pitch: Annotated[float | None, typer.Option(help="Pixel pitch (um); by default 1.8.")] = None
+    kernel_size: Annotated[int | None, typer.Option(help="Width of the PSF window (pixels); by default 51.")] = None
+    wavelengths: Annotated[str | None, typer.Option(help="Wavelengths (um); by default 0.6563,0.5893,0.4861.")] = None
 
     def values(self) -> "Specification":
         """Return the values by their keys in a study; None for a default."""
@@ -130,10 +122,7 @@ def design(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="File of the lens, .yaml or .zmx.", show_default=False)
     ],
-    elements: Annotated[
-        str | None,
-        typer.Option(help="Materials from front to back, by default COC,OKP4."),
-    ] = None,
+    elements: Annotated[str | None, typer.Option(help="Materials from front to back, by default COC,OKP4.")] = None,
     *,
     method: MethodOptions,
     catalogue: Annotated[
@@ -184,11 +173,7 @@ def design(
         network=classifier,
         start="flat" if start.is_flat else start.file,
         free=None if start.free is None else _free(start.free),
-        spec={
-            **spec.values(),
-            "configuration": start.configuration,
-            "object_distance_mm": start.object_distance,
-        },
+        spec={**spec.values(), "configuration": start.configuration, "object_distance_mm": start.object_distance},
     )
     unused, page = None, output.with_suffix(".html")
     if verdict and method.method == "task" and photographs.images is not None and classifier is not None:
@@ -248,7 +233,7 @@ def _write(output: Path, result: "Designs", save_network: Path | None, improved:
 
 def _compare(output: Path, page: Path, result: "Designs", unused: "ImageDataset") -> dict[str, str]:
     """Compare the lens with those for image quality on photographs that no design has used; write the page."""
-    from tasklens.api.verdict import verdict
+    from tasklens.api.design import verdict
 
     with progress_bars(), remarks_about(output):
         answer, ranking = verdict(result, unused)

@@ -7,10 +7,18 @@ from typing import Annotated
 
 import typer
 
-from tasklens.cli.lens_options import Catalogues, Configuration, FieldOfView, Seed, reader
-from tasklens.cli.option_groups import with_options
-from tasklens.cli.outputs import AsJson, Force, new_catalogue, new_file, print_json, remarks_about, say, say_catalogue
-from tasklens.cli.progress_bars import progress_bars
+from tasklens.cli.options import Catalogues, Configuration, FieldOfView, Seed, reader, with_options
+from tasklens.cli.outputs import (
+    AsJson,
+    Force,
+    new_catalogue,
+    new_file,
+    print_json,
+    progress_bars,
+    remarks_about,
+    say,
+    say_catalogue,
+)
 from tasklens.runtime.errors import InputError
 
 app = typer.Typer(no_args_is_help=True)
@@ -91,12 +99,13 @@ def draw(
     force: Force = False,
 ) -> None:
     """Draw lenses one above the other: cross-section with rays, spots, PSFs, ray fans, MTF, distortion."""
-    from tasklens.show import drawing, figures
+    from tasklens.show import figures
+    from tasklens.show.panel import Panel
 
     new_file(output, force, ".png", ".svg", ".pdf")
     lenses = {name: read(path) for name, path in _named(files).items()}
-    figure = drawing.figure({name: (lens.lens, lens.view) for name, lens in lenses.items()}, rays)
-    figures.save(figure, [output])
+    panels = [Panel.compute(name, lens.lens, lens.view, rays) for name, lens in lenses.items()]
+    figures.save(figures.figure_of(panels), [output])
     say(f"wrote {output}")
 
 

@@ -1,4 +1,4 @@
-"""What commands print and write: tables, JSON, and files that are not overwritten by accident."""
+"""What commands print and write: messages, progress, JSON, and files that are not overwritten by accident."""
 
 import sys
 import warnings
@@ -69,3 +69,28 @@ def remarks_about(path: Path) -> Iterator[None]:
 def say(text: str) -> None:
     """Print a message for the user on standard error; standard output is for results."""
     print(f"tasklens: {text}", file=sys.stderr)
+
+
+@contextmanager
+def progress_bars() -> Iterator[None]:
+    """Show a progress bar for each part of the work on a terminal; otherwise print lines as jobs do."""
+    if not sys.stderr.isatty():
+        yield
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from tasklens.runtime.progress import reporting_to
+
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, TextColumn("{task.fields[values]}"), console=Console(stderr=True)) as bars:
+        tasks: dict[str, Any] = {}
+
+        def listen(label: str, step: int, total: int, values: Any) -> None:
+            if label not in tasks or bars.tasks[tasks[label]].completed >= total > step:  # a new part of the same name
+                tasks[label] = bars.add_task(label, total=total, values="")
+            first = next(iter(values.items()), None)
+            bars.update(tasks[label], completed=min(step, total), values=f"{first[0]} {first[1]:.4g}" if first else "")
+
+        with reporting_to(listen):
+            yield

@@ -8,37 +8,29 @@ from typing import Annotated, Any
 
 import typer
 
-from tasklens.cli.lens_options import Catalogues
-from tasklens.cli.network_options import NetworkOptions, PhotographOptions
-from tasklens.cli.option_groups import with_options
-from tasklens.cli.outputs import say
-from tasklens.cli.progress_bars import progress_bars
+from tasklens.cli.options import Catalogues, NetworkOptions, PhotographOptions, in_panel, with_options
+from tasklens.cli.outputs import progress_bars, say
 from tasklens.runtime.errors import InputError
 from tasklens.settings.names import Focus
 
 _SENSOR, _MORE = "Sensor and object", "Further options"
 
 
+@in_panel(_SENSOR)
 @dataclass(frozen=True)
 class SensorOptions:
     """The sensor of all lenses, and the object."""
 
-    diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).", rich_help_panel=_SENSOR)] = 4.0
-    pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).", rich_help_panel=_SENSOR)] = 1.8
-    kernel_size: Annotated[
-        int, typer.Option(help="Width of the PSF window (pixels, odd).", rich_help_panel=_SENSOR)
-    ] = 51
+    diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).")] = 4.0
+    pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).")] = 1.8
+    kernel_size: Annotated[int, typer.Option(help="Width of the PSF window (pixels, odd).")] = 51
     wavelengths: Annotated[
-        str | None,
-        typer.Option(help="Wavelengths (um) of all lenses; by default 0.6563,0.5893,0.4861.", rich_help_panel=_SENSOR),
+        str | None, typer.Option(help="Wavelengths (um) of all lenses; by default 0.6563,0.5893,0.4861.")
     ] = None
-    object_distance: Annotated[
-        float, typer.Option(help="Distance of the object (mm), or inf.", rich_help_panel=_SENSOR)
-    ] = math.inf
-    full_well: Annotated[
-        float | None,
-        typer.Option(min=1, help="Add sensor noise: electrons per pixel at white.", rich_help_panel=_SENSOR),
-    ] = None
+    object_distance: Annotated[float, typer.Option(help="Distance of the object (mm), or inf.")] = math.inf
+    full_well: Annotated[float | None, typer.Option(min=1, help="Add sensor noise: electrons per pixel at white.")] = (
+        None
+    )
     diffraction: Annotated[
         bool, typer.Option("--diffraction", help="Include diffraction in the PSFs.", rich_help_panel=_MORE)
     ] = False
@@ -59,22 +51,19 @@ class SensorOptions:
         return {"diffraction": self.diffraction, "sensor": sensor}
 
 
+@in_panel(_SENSOR)
 @dataclass(frozen=True)
 class LensOptions:
     """Reading of lenses, and the choice of those that are measured."""
 
     scale: Annotated[
-        bool,
-        typer.Option(
-            "--scale", help="Scale lenses to the sensor; for patents, not for products.", rich_help_panel=_SENSOR
-        ),
+        bool, typer.Option("--scale", help="Scale lenses to the sensor; for patents, not for products.")
     ] = False
     focus: Annotated[
         Focus | None,
         typer.Option(
             help="Image plane: as in the file, least loss of the network, peak of the MTF, smallest spot; by default "
-            "as in the file, and by the network if the lens is scaled or the object at another distance.",
-            rich_help_panel=_SENSOR,
+            "as in the file, and by the network if the lens is scaled or the object at another distance."
         ),
     ] = None
     sieve: Annotated[
@@ -138,7 +127,7 @@ def rank(
         sections = spec, images, classifier, sensor.capture()
         return ranking.study(name, screened, *sections, fine_tune, kept, tolerances, built)
 
-    unread = loading.parse(study(screening.unread()))  # errors come before the lenses are read
+    unread = loading.parse(study(screening.placeholder()))  # errors come before the lenses are read
     say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
     with progress_bars():
         catalogues = [*(lens_options.catalogue or ()), *user_files()]

@@ -1,5 +1,6 @@
 """`tasklens study ...`: study files and their results."""
 
+import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -7,16 +8,16 @@ from typing import Annotated, Any, Literal
 
 import typer
 
-from tasklens.cli.network_options import parse_settings
-from tasklens.cli.option_groups import with_options
+from tasklens.cli.options import parse_settings, with_options
 from tasklens.cli.outputs import AsJson, Force, new_file, print_json
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, write_text
 from tasklens.study import loading
-from tasklens.study.parts import whole_study_name
+from tasklens.study.loading import whole_study_name
 from tasklens.study.run import changes, new_study, planning, runs
 from tasklens.study.run.digest import SNAKEFILE
 from tasklens.study.run.forecast import Durations, duration, durations_of
+from tasklens.study.schema import schema as study_schema
 from tasklens.study.study import Study
 
 app = typer.Typer(no_args_is_help=True)
@@ -276,3 +277,14 @@ def removed_export() -> None:
         "tasklens study export: removed; use `tar -czf study.tar.gz --exclude '*/images' --exclude '*/checkpoints' "
         "--exclude '*.safetensors' results/NAME`, without images, checkpoints, weights and PSFs"
     )
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of study files, which editors use to complete and check them.
+
+    With the YAML extension of VS Code: save it as study.schema.json, and begin a study file with
+
+    # yaml-language-server: $schema=study.schema.json
+    """
+    print(json.dumps(study_schema(), indent=2))

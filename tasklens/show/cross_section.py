@@ -1,7 +1,6 @@
 """Cross-section of a lens in the plane of the diagonal, with rays of several fields."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import torch
@@ -13,8 +12,7 @@ from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace_full
 from tasklens.optics.view import View
-from tasklens.show.curves import FIELD_COLOURS
-from tasklens.show.scale_bar import scale_bar
+from tasklens.show.panel import FIELD_COLOURS, scale_bar, shown_fields
 
 _RAYS = 9  # of a field
 _ROWS = 3  # rows for the names of materials
@@ -23,14 +21,8 @@ _PUPIL = 0.98  # outermost rays, in radii of the pupil
 _ELEMENT: Any = {"facecolor": "#DCE6F0", "edgecolor": "black", "lw": 1}
 
 
-def cross_section(
-    axes: Axes,
-    lens: Lens,
-    view: View,
-    field_names: Mapping[int, str],
-    narrowest_mm: float = math.inf,
-) -> None:
-    """Draw elements, stop, sensor and a ray fan for each field of `field_names`; the scale bar fits `narrowest_mm`."""
+def cross_section(axes: Axes, lens: Lens, view: View, narrowest_mm: float = math.inf) -> None:
+    """Draw elements, stop, sensor and rays to axis, middle and corner; the scale bar fits `narrowest_mm`."""
     vertices = lens.vertices
     edges = []
     for i in range(len(lens.media)):
@@ -53,7 +45,7 @@ def cross_section(
             axes.fill(z, torch.cat([-end, h0, end, end, h1.flip(0), -end]), **_ELEMENT)
             middle = float(vertices[i] + lens.thickness[i] / 2)
             names.append((middle, short_name(medium)))
-    _rays(axes, lens, view, field_names)
+    _draw_rays(axes, lens, view)
     image_z = float(vertices[-1] + lens.thickness[-1])
     half = float(view.radii.max())
     axes.plot([image_z] * 2, [-half, half], color="black", lw=2.5)
@@ -68,9 +60,9 @@ def cross_section(
     scale_bar(axes, "mm", narrowest=narrowest_mm)
 
 
-def _rays(axes: Axes, lens: Lens, view: View, field_names: Mapping[int, str]) -> None:
+def _draw_rays(axes: Axes, lens: Lens, view: View) -> None:
     """Draw a fan of rays for each field, turned into the plane of the drawing."""
-    vertices = lens.vertices
+    vertices, field_names = lens.vertices, shown_fields(view)
     radius = view.radii[list(field_names)]
     along_y = view.in_reference().along_y(radius)
     fan = torch.stack([torch.zeros(_RAYS), torch.linspace(-_PUPIL, _PUPIL, _RAYS)], -1).double()

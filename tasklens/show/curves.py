@@ -1,6 +1,5 @@
-"""Curves of a lens: ray fans, MTF and encircled energy."""
+"""Curves of a lens: ray fans, MTF and encircled energy; MTF, focus and distortion from the axis to the corner."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -9,41 +8,33 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure, SubFigure
 from torch import Tensor
 
+from tasklens.optics.analysis.aberrations import field_curvature
 from tasklens.optics.analysis.mtf import geometric_mtf, perfect_mtf
-from tasklens.optics.analysis.spots import RayFans
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import chief_rays, chief_scale, distortion, ray_fans, trace_fields
 from tasklens.optics.analysis.tail import encircled_energy
-from tasklens.optics.rays import Rays
+from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.show.along_field import AlongField
+from tasklens.show.panel import BY_WAVELENGTH, FIELD_COLOURS, Panel
 
-# In the order of a specification: red, green, blue.
-FIELD_COLOURS = ("#0072B2", "#009E73", "#D55E00")  # of axis, middle and corner
-BY_WAVELENGTH = (
-    {"color": "#CC3311", "ls": "-"},
-    {"color": "#228833", "ls": "--"},
-    {"color": "#4477AA", "ls": ":"},
-)
+_FANS = 41  # rays of a fan
 _MARKERS = ("o", "s", "^")  # of the drawn fields
 _FREQUENCIES = 41
 _RADII_UM = (0.5, 500.0)
 _SHIFTS = 31  # number of shifts of the image plane
 _DEPTH = 8  # largest shift, in pixel pitches times the F-number
 _SLOWEST = 1e3  # F-number; that of an afocal lens is infinite
+_FIELDS, _RAYS = 21, 1024  # from the axis to the corner; rays of each and of each wavelength
 
 
-def ray_fans(
-    part: SubFigure | Figure, fans: RayFans, view: View, field_names: Mapping[int, str], half_um: float
-) -> None:
-    """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian.
-
-    Args:
-        half_um: largest error that is drawn.
-    """
-    all_axes = part.subplots(1, 2 * len(field_names), sharey=True, squeeze=False)[0]
-    for k, (field, name) in enumerate(field_names.items()):
+def draw_ray_fans(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian."""
+    fans, half_um = ray_fans(panel.lens, panel.view, _FANS), panel.shown_um
+    all_axes = part.subplots(1, 2 * len(panel.field_names), sharey=True, squeeze=False)[0]
+    for k, (field, name) in enumerate(panel.field_names.items()):
         for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
             axes = all_axes[2 * k + i]
-            for w, (wavelength, style) in enumerate(zip(view.wavelengths_um, BY_WAVELENGTH, strict=False)):
+            for w, (wavelength, style) in enumerate(zip(panel.view.wavelengths_um, BY_WAVELENGTH, strict=False)):
                 axes.plot(fans.pupil, 1e3 * errors[field, w], lw=1, label=f"{1e3 * wavelength:.0f} nm", **style)
             axes.set(xlim=(-1, 1), ylim=(-half_um, half_um), xticks=(-1, 0, 1))
             axes.set_title(f"{name} {label}", fontsize=9)
@@ -54,12 +45,31 @@ def ray_fans(
     part.legend(*all_axes[0].get_legend_handles_labels(), loc="outside upper center", ncol=3, fontsize=8, frameon=False)
 
 
-def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, field_names: Mapping[int, str]) -> None:
+def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw MTF and encircled energy of axis, middle and corner."""
+    left, right = part.subplots(1, 2)
+    _draw_mtf(left, panel)
+    _draw_encircled_energy(right, panel)
+
+
+def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw MTF against field and focus, field curvature and distortion; gaps where the chief ray is lost."""
+    by_field, by_focus, curvature, distorted = part.subplots(1, 4)
+    lens, frequency = panel.lens, panel.figures["nyquist_per_mm"] / 2
+    heights = torch.linspace(0, 1, _FIELDS, dtype=panel.view.fields.dtype) * panel.view.radii.max()
+    view, angles = panel.view.along_y(heights), torch.rad2deg(torch.atan(heights / panel.view.efl))
+    _draw_mtf_by_field(by_field, lens, view, angles, frequency)
+    _draw_mtf_by_focus(by_focus, panel, frequency)
+    _draw_focus_by_field(curvature, lens, view, angles)
+    _draw_distortion(distorted, lens, view, angles)
+
+
+def _draw_mtf(axes: Axes, panel: Panel) -> None:
     """Draw the geometric MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens grey."""
-    nyquist, cutoff = figures["nyquist_per_mm"], figures["diffraction_cutoff_per_mm"]
+    nyquist, cutoff = panel.figures["nyquist_per_mm"], panel.figures["diffraction_cutoff_per_mm"]
     frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
-    tangential, sagittal = geometric_mtf(rays, view.directions, frequencies.tolist())
-    for k, ((field, name), colour) in enumerate(zip(field_names.items(), FIELD_COLOURS, strict=False)):
+    tangential, sagittal = geometric_mtf(panel.rays, panel.view.directions, frequencies.tolist())
+    for k, ((field, name), colour) in enumerate(zip(panel.field_names.items(), FIELD_COLOURS, strict=False)):
         marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
@@ -68,12 +78,13 @@ def mtf(axes: Axes, rays: Rays, view: View, figures: Mapping, field_names: Mappi
     _finish(axes)
 
 
-def encircled(axes: Axes, rays: Rays, centre: Tensor, view: View, field_names: Mapping[int, str]) -> None:
+def _draw_encircled_energy(axes: Axes, panel: Panel) -> None:
     """Draw the share of the light within a radius of the chief ray's image point."""
+    view = panel.view
     low, high = (torch.tensor(radius).log10().item() for radius in _RADII_UM)
     radii = torch.logspace(low, high, 81, dtype=torch.float64)
-    energy = encircled_energy(rays, centre, radii / 1e3)
-    for k, ((field, name), colour) in enumerate(zip(field_names.items(), FIELD_COLOURS, strict=False)):
+    energy = encircled_energy(panel.rays, panel.centre, radii / 1e3)
+    for k, ((field, name), colour) in enumerate(zip(panel.field_names.items(), FIELD_COLOURS, strict=False)):
         axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
     axes.axhline(0.5, color="grey", lw=0.6)
     axes.axvline(view.pixel_pitch_um, color="grey", lw=1, ls=":", label="a pixel")
@@ -85,27 +96,22 @@ def encircled(axes: Axes, rays: Rays, centre: Tensor, view: View, field_names: M
     _finish(axes)
 
 
-def mtf_by_field(axes: Axes, along: AlongField, frequency: float) -> None:
+def _draw_mtf_by_field(axes: Axes, lens: Lens, view: View, angles: Tensor, frequency: float) -> None:
     """Draw the geometric MTF at one frequency [cycles/mm] from the axis to the corner: solid T, dashed S."""
-    tangential, sagittal = geometric_mtf(along.rays, along.view.directions, [frequency])
-    axes.plot(along.angles, tangential[:, 0], color="black", lw=1, label="T")
-    axes.plot(along.angles, sagittal[:, 0], color="black", lw=1, ls="--", label="S")
+    rays = trace_fields(lens, view, sobol_disc(_RAYS, seed=0))
+    tangential, sagittal = geometric_mtf(rays, view.directions, [frequency])
+    axes.plot(angles, tangential[:, 0], color="black", lw=1, label="T")
+    axes.plot(angles, sagittal[:, 0], color="black", lw=1, ls="--", label="S")
     axes.set(ylim=(0, 1.02), xlabel="field [degrees]", title=f"MTF at {frequency:.0f} cycles/mm")
     _finish(axes)
 
 
-def mtf_by_focus(
-    axes: Axes,
-    rays: Rays,
-    view: View,
-    figures: Mapping,
-    frequency: float,
-    field_names: Mapping[int, str],
-) -> None:
+def _draw_mtf_by_focus(axes: Axes, panel: Panel, frequency: float) -> None:
     """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
-    half = _DEPTH * view.pixel_pitch_um * min(abs(figures["f_number"]), _SLOWEST)
+    view, rays = panel.view, panel.rays
+    half = _DEPTH * view.pixel_pitch_um * min(abs(panel.figures["f_number"]), _SLOWEST)
     shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
-    for (field, name), colour in zip(field_names.items(), FIELD_COLOURS, strict=False):
+    for (field, name), colour in zip(panel.field_names.items(), FIELD_COLOURS, strict=False):
         values = []
         for shift in (shifts / 1e3).tolist():
             shifted_rays = replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
@@ -118,17 +124,21 @@ def mtf_by_focus(
     _finish(axes)
 
 
-def focus_by_field(axes: Axes, along: AlongField) -> None:
+def _draw_focus_by_field(axes: Axes, lens: Lens, view: View, angles: Tensor) -> None:
     """Draw the tangential and sagittal focus of rays near the chief ray against the field."""
-    axes.plot(along.tangential, along.angles, color="black", lw=1, label="T")
-    axes.plot(along.sagittal, along.angles, color="black", lw=1, ls="--", label="S")
+    tangential, sagittal = field_curvature(lens, view)
+    axes.plot(1e3 * tangential, angles, color="black", lw=1, label="T")
+    axes.plot(1e3 * sagittal, angles, color="black", lw=1, ls="--", label="S")
     axes.set(xlabel="focus from the image plane [um]", ylabel="field [degrees]", title="field curvature")
     _finish(axes)
 
 
-def distortion_by_field(axes: Axes, along: AlongField) -> None:
+def _draw_distortion(axes: Axes, lens: Lens, view: View, angles: Tensor) -> None:
     """Draw the distortion against the field."""
-    axes.plot(along.distortion, along.angles, color="black", lw=1)
+    chief = chief_rays(lens, view)
+    points = torch.cat([chief.x[:, 0], chief.y[:, 0]], -1)
+    percent = 100 * distortion(view.fields * chief_scale(lens, view), points)
+    axes.plot(torch.where(chief.valid[:, 0, 0], percent, torch.nan), angles, color="black", lw=1)
     axes.locator_params(axis="x", nbins=4)
     axes.set(xlabel="distortion [%]", title="distortion")
     _finish(axes)

@@ -1,14 +1,12 @@
 """Figures of lenses: cross-section, spots, PSFs, ray fans, MTF and encircled energy from axis to corner.
 
 All panels about the sensor have the same axes, x to the right and y upward, and are centred on the image point of the
-chief ray. Colours are those of Okabe and Ito, which colour-blind readers can tell apart; lines also differ in
-their dashes.
+chief ray.
 """
 
-import io
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,87 +14,23 @@ import matplotlib
 import torch
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.transforms import Bbox
-from torch import Tensor
 
-from tasklens.optics.analysis.datasheet import view_of
-from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, lit_semi_diameters, ray_fans, spot_diagram, trace_fields
-from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.analysis.spots import lit_semi_diameters, spot_diagram
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.files import replacing
-from tasklens.show import curves, spot_panels, vector_files
-from tasklens.show.along_field import along_field
+from tasklens.show import vector_files
 from tasklens.show.cross_section import cross_section
+from tasklens.show.curves import draw_by_field, draw_curves, draw_ray_fans
+from tasklens.show.panel import RIM, Panel
+from tasklens.show.spot_panels import draw_psfs, draw_spots
 
-_RAYS = 4096  # per field and wavelength
-_FANS = 41
-_RIM = 1.02  # drawn radius of a surface, as a multiple of the illuminated radius
 _SHOWN = 0.95  # fraction of the rays of a spot that is drawn at least
 _DPI = 110
 _PLACES = 6  # decimals of a position in a figure
 _NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor"), "white"
 )
-
-
-@dataclass(frozen=True)
-class Panel:
-    """Contents of the figure of one lens.
-
-    Attributes:
-        title: title of the figure.
-        lens: lens with finite clear apertures.
-        view: fields, wavelengths and pixels.
-        psf: (F, 3, K, K) cached PSFs.
-        figures: optical figures of the lens, for captions.
-        rays: rays of all fields on the image plane.
-        centre: (F, 2) image points of the chief rays [mm].
-        narrowest_mm: length of the shortest lens of the figure; its scale bars fit.
-        narrowest_um: width of the smallest PSF window of the figure.
-        half_um: largest ray error that spots and ray fans show; None: half of the PSF window.
-    """
-
-    title: str
-    lens: Lens
-    view: View
-    psf: Tensor
-    figures: Mapping
-    rays: Rays
-    centre: Tensor
-    narrowest_mm: float = math.inf
-    narrowest_um: float = math.inf
-    half_um: float | None = None
-
-    @property
-    def shown_um(self) -> float:
-        """Largest ray error that spots and ray fans show."""
-        return self.half_um or self.view.kernel_size * self.view.pixel_pitch_um / 2
-
-    @property
-    def field_names(self) -> dict[int, str]:
-        """Names by index of the drawn fields: nearest to the axis, in the middle, and in the corner."""
-        return shown_fields(self.view)
-
-
-def shown_fields(view: View) -> dict[int, str]:
-    """Return the names by index of the fields nearest to the axis, in the middle, and in the corner."""
-    names = view.named_fields
-    return {field: name for name, field in names.items()} | {names["axis"]: "axis"}
-
-
-def panel(title: str, path: Path, psf: Path) -> Panel:
-    """Read the panel of a lens from the files of the lens and its PSFs; raises FileError."""
-    prescribed, content = prescription.read(path)
-    view = view_of(prescribed.lens, content, str(path))
-    return panel_of(title, prescribed.lens, view, psf_files.read(psf, "nine").psf, content["figures"])
-
-
-def panel_of(title: str, lens: Lens, view: View, psf: Tensor, figures: Mapping) -> Panel:
-    """Return the panel of a lens with its PSFs and figures."""
-    rays = trace_fields(lens, view, sobol_disc(_RAYS, 0))
-    return Panel(title, lens, view, psf, figures, rays, chief_points(lens, view))
 
 
 def figure_of(panels: Sequence[Panel]) -> Figure:
@@ -157,7 +91,7 @@ def _draw(part: SubFigure, panel: Panel) -> None:
     draw_spots(right, panel)
     draw_psfs(middle, panel)
     fans, charts = bottom.subfigures(1, 2, width_ratios=(1.1, 1))
-    curves.ray_fans(fans, ray_fans(panel.lens, panel.view, _FANS), panel.view, panel.field_names, panel.shown_um)
+    draw_ray_fans(fans, panel)
     draw_curves(charts, panel)
     draw_by_field(foot, panel)
     figures = panel.figures
@@ -167,46 +101,16 @@ def _draw(part: SubFigure, panel: Panel) -> None:
 
 def section_svg(lens: Lens, view: View) -> str:
     """Return the cross-section of a lens with rays as SVG; surfaces end just beyond the illuminated radius."""
-    figure, text = Figure(figsize=(7, 4), layout="constrained"), io.StringIO()
-    used = torch.minimum(lens.semi_diameter, _RIM * lit_semi_diameters(lens, view))
+    figure = Figure(figsize=(7, 4), layout="constrained")
+    used = torch.minimum(lens.semi_diameter, RIM * lit_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
-    cross_section(figure.subplots(), lens, view, shown_fields(view))
-    with matplotlib.rc_context(vector_files.STYLE):
-        figure.savefig(text, format="svg", metadata=vector_files.METADATA["svg"])
-    return text.getvalue()
+    cross_section(figure.subplots(), lens, view)
+    return vector_files.svg(figure)
 
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the cross-section with rays."""
-    cross_section(part.subplots(), panel.lens, panel.view, panel.field_names, panel.narrowest_mm)
-
-
-def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw the spot diagrams of axis, middle and corner, with the circles of core and 80 %."""
-    spot_panels.spots(part, panel.rays, panel.centre, panel.view, panel.figures, panel.field_names, panel.shown_um)
-
-
-def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw the PSFs of all fields, on square-root and logarithmic scales."""
-    spot_panels.psf_strip(part, panel.psf, panel.view, panel.figures, panel.narrowest_um)
-
-
-def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw MTF and encircled energy of axis, middle and corner."""
-    mtf, energy = part.subplots(1, 2)
-    curves.mtf(mtf, panel.rays, panel.view, panel.figures, panel.field_names)
-    curves.encircled(energy, panel.rays, panel.centre, panel.view, panel.field_names)
-
-
-def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw MTF against field and focus, field curvature and distortion."""
-    by_field, by_focus, curvature, distortion = part.subplots(1, 4)
-    view, frequency = panel.view, panel.figures["nyquist_per_mm"] / 2
-    along = along_field(panel.lens, view)
-    curves.mtf_by_field(by_field, along, frequency)
-    curves.mtf_by_focus(by_focus, panel.rays, view, panel.figures, frequency, panel.field_names)
-    curves.focus_by_field(curvature, along)
-    curves.distortion_by_field(distortion, along)
+    cross_section(part.subplots(), panel.lens, panel.view, panel.narrowest_mm)
 
 
 def compare_psfs(path: Path, panels: Sequence[Panel]) -> None:

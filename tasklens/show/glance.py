@@ -10,8 +10,8 @@ import torch
 from tasklens.materials.material import AIR, short_name
 from tasklens.optics.analysis.mtf import perfect_mtf
 from tasklens.optics.lens import Lens
+from tasklens.show.certificate import UNITS
 from tasklens.show.headings import GAP
-from tasklens.show.manufacturability import UNITS
 
 _FIELDS = {  # key in the figures of a lens: label, number of decimals
     "angle_deg": ("field [degrees]", 1),

@@ -1,11 +1,13 @@
-"""Pictures and files inside the page, as data URIs."""
+"""Pages as single files: templates with the style sheet, pictures and files as data URIs."""
 
 import base64
 import io
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import numpy
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from PIL import Image
 
 _TYPES = {
@@ -19,9 +21,13 @@ _TYPES = {
 _QUALITY = 82  # of WebP
 
 
-def style_sheet() -> str:
-    """Return the style sheet of the pages."""
-    return (resources.files(__package__) / "page.css").read_text(encoding="utf-8")
+def render(package: str, template: str, **values: Any) -> str:
+    """Return a page as HTML, from the template of a package, the style sheet `css`, and further values."""
+    environment = Environment(
+        loader=PackageLoader(package, "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+    )
+    css = (resources.files(__package__) / "page.css").read_text(encoding="utf-8")
+    return environment.get_template(template).render(css=css, **values)
 
 
 def link(path: Path) -> str:

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy
 import pandas
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from scipy.stats import studentized_range
 
 from tasklens.show import pictures, predictions
@@ -162,15 +161,11 @@ def render(
         words: `title`; `images`, their number; `sharp`, the accuracy on them [%]; `tuned`, how the network got used to
             a lens; `left_out` with reasons by lens; `grade` of built lenses.
     """
-    environment = Environment(
-        loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
     entries = [
         {"rank": rank, "row": row, "drawing": pictures.of_text(drawings[rank.lens], ".svg")}
         for rank, row in zip(ranks, rows, strict=True)
     ]
     better = ranks[: (len(ranks) + 1) // 2]  # the other lenses may be at the left edge
     low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in better) // _SCALE))
-    return environment.get_template("ranking.html").render(
-        entries=entries, answer=answer, css=pictures.style_sheet(), low=low, width=100 - low, **words
-    )
+    values = {"entries": entries, "answer": answer, "low": low, "width": 100 - low}
+    return pictures.render(__package__, "ranking.html", **values, **words)

@@ -6,13 +6,9 @@ import torch
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
-from torch import Tensor
 
 from tasklens.optics.analysis.spots import spot_diagram
-from tasklens.optics.rays import Rays
-from tasklens.optics.view import View
-from tasklens.show.curves import BY_WAVELENGTH
-from tasklens.show.scale_bar import scale_bar
+from tasklens.show.panel import BY_WAVELENGTH, Panel, scale_bar
 
 _DRAWN = 700  # rays of a spot
 _DECADES = 4.0  # of the logarithmic PSFs
@@ -23,26 +19,12 @@ _ROUND = (
 _LEAST_LABELLED = 5e-4  # smallest share of light that a label mentions
 
 
-def spots(
-    part: SubFigure | Figure,
-    rays: Rays,
-    centre: Tensor,
-    view: View,
-    figures: Mapping,
-    field_names: Mapping[int, str],
-    half_um: float,
-) -> None:
-    """Draw the spots of the fields `field_names`, with circles of 50 % and 80 % of the light about the chief ray.
-
-    Args:
-        rays: rays of all fields on the image plane.
-        centre: (F, 2) image points of the chief rays [mm].
-        half_um: half of the width that is drawn.
-    """
-    points = 1e3 * spot_diagram(rays, centre)[:, :, :_DRAWN]
-    for axes, (field, name) in zip(
-        part.subplots(1, len(field_names), squeeze=False)[0], field_names.items(), strict=True
-    ):
+def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw the spots of axis, middle and corner, with circles of 50 % and 80 % of the light about the chief ray."""
+    view, figures, half_um = panel.view, panel.figures, panel.shown_um
+    points = 1e3 * spot_diagram(panel.rays, panel.centre)[:, :, :_DRAWN]
+    all_axes = part.subplots(1, len(panel.field_names), squeeze=False)[0]
+    for axes, (field, name) in zip(all_axes, panel.field_names.items(), strict=True):
         for w, (wavelength, style) in enumerate(zip(view.wavelengths_um, BY_WAVELENGTH, strict=False)):
             x, y = points[field, w].unbind(-1)
             axes.scatter(x, y, s=1.2, lw=0, color=style["color"], rasterized=True)
@@ -77,8 +59,9 @@ def _outside(figures: Mapping, field: int) -> str:
     return f"{text}, {lost:.1%} lost" if lost >= _LEAST_LABELLED else text
 
 
-def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mapping, narrowest_um: float) -> None:
+def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the PSFs of all fields from axis to corner: square root above, four decades of the logarithm below."""
+    psf, view, figures = panel.psf, panel.view, panel.figures
     order = torch.argsort(view.radii, stable=True).tolist()
     grid = part.subplots(2, len(order), squeeze=False)
     half = view.kernel_size * view.pixel_pitch_um / 2
@@ -94,4 +77,4 @@ def psf_strip(part: SubFigure | Figure, psf: Tensor, view: View, figures: Mappin
     for axes, label in zip(grid[:, 0], ("square root", f"{_DECADES:.0f} decades"), strict=True):
         axes.set_ylabel(label, fontsize=8)
     for axes in grid[:, -1]:
-        scale_bar(axes, "um", "white", narrowest_um)
+        scale_bar(axes, "um", "white", panel.narrowest_um)

@@ -71,7 +71,7 @@ def check_rays_alone(study: Study) -> None:
         )
 
 
-def built(study: Study) -> BuiltContents:
+def built_contents(study: Study) -> BuiltContents:
     """Return the contents of the table of built lenses: the lenses of table 1, or of the requested designs.
 
     Raises:

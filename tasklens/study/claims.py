@@ -87,10 +87,20 @@ class Claims(Frozen):
     seeds: tuple[int, ...]
 
     @property
+    def lenses(self) -> list[str]:
+        """All lenses that the claims compare."""
+        return list(dict.fromkeys(lens for claim in self.claims for lens in claim.lenses))
+
+    @property
     def lens_keys(self) -> list[LensKey]:
         """All lenses that the claims compare."""
-        lenses = dict.fromkeys(lens for claim in self.claims for lens in claim.lenses)
-        return [LensKey(lens, seed) for lens in lenses for seed in self.seeds]
+        return [LensKey(lens, seed) for lens in self.lenses for seed in self.seeds]
+
+    @property
+    def baseline_keys(self) -> list[MeasuredKey]:
+        """Measurements that say which baseline is the strongest."""
+        pairs = dict.fromkeys((lens, claim.classifier) for claim in self.claims for lens in claim.baselines)
+        return [MeasuredKey(*pair, seed) for pair in pairs for seed in self.seeds]
 
     @property
     def measured_keys(self) -> list[MeasuredKey]:
@@ -149,6 +159,12 @@ def claims_by_elements(study: Study) -> dict[str, list[Claim]]:
     for claim in imaging_claims(study).claims:
         by_elements.setdefault(study.lens(claim.lens).elements, []).append(claim)
     return by_elements
+
+
+def comparison(study: Study, elements: str, seed: int) -> Claims:
+    """Compare the task-driven lenses of some elements with the best imaging lens, for one seed; raises StudyError."""
+    kind = "name of elements with a task-driven and an imaging design:"
+    return Claims(study=study.name, claims=tuple(pick(claims_by_elements(study), elements, kind)), seeds=(seed,))
 
 
 def ablation_claims(study: Study, name: str) -> AblationClaims:

@@ -1,4 +1,4 @@
-"""Effort of the designs of a study: evaluations, with and without those of the lenses that they were chosen from."""
+"""Effort of the designs of a study, and the lenses that they were chosen from; no torch here."""
 
 from tasklens.settings.design_settings import DesignSettings
 from tasklens.settings.frozen import Frozen
@@ -15,13 +15,11 @@ class Effort(Frozen):
         lens: name of the lens.
         tried: lens evaluations: steps of descents, or evaluations of the least-squares search, without its last tens to
             hundreds under strict limits; zero for imported lenses.
-        tried_in_all: the same, including those of the lenses in `chosen_from`.
         chosen_from: names of the lenses that may have been its start, of their possible starts, and so on.
     """
 
     lens: str
     tried: int
-    tried_in_all: int
     chosen_from: tuple[str, ...]
 
 
@@ -46,18 +44,12 @@ def effort(study: Study) -> Efforts:
         Effort(
             lens=name,
             tried=_tried(study.lens(name).design),
-            tried_in_all=tried_in_all(study, name),
             chosen_from=_chosen_from(study, name),
         )
         for name in study.lenses
         if name in lenses
     )
     return Efforts(study=study.name, seeds=study.seeds, efforts=tuple(efforts))
-
-
-def tried_in_all(study: Study, lens: str) -> int:
-    """Return how many lenses were tried for one, including those of the lenses that it was chosen from."""
-    return sum(_tried(study.lens(name).design) for name in (lens, *_chosen_from(study, lens)))
 
 
 def _chosen_from(study: Study, lens: str) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""Reading and writing of study files (YAML)."""
+"""Reading and writing of study files (YAML), and studies derived from one: points of a sweep, interim parts."""
 
 from collections.abc import Mapping, Sequence
 from functools import reduce
@@ -20,6 +20,7 @@ from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
 
 SHIPPED = Path(__file__).parents[2] / "config"  # the studies that come with the program
+_SEPARATOR = "/elements="  # between the name of a study and that of its part
 EXTENDS = "Name of the study whose keys this one changes; null removes an entry of a section."
 
 
@@ -181,3 +182,36 @@ def resolved(study: Study) -> dict[str, Any]:
 def dump(study: Study) -> str:
     """Return the resolved study as YAML, with all defaults."""
     return yaml.safe_dump(study.model_dump(mode="json", exclude_computed_fields=True), sort_keys=False)
+
+
+def parts(study: Study) -> list[Study]:
+    """Return the parts of a study, named `{study}/elements={first}+...`, which use its lenses and networks.
+
+    They are its interim reports, table 1 and a page: each has one element count more than the one before it, and the
+    last has one fewer than the study. A sweep, or a study without table 1, has none.
+    """
+    if study.sweep or "table1" not in study.tables:
+        return []
+    names = list(study.elements)
+    return [_part(study, names[:count]) for count in range(1, len(names))]
+
+
+def whole_study_name(name: str) -> str:
+    """Return the name of the study whose lenses and networks a study uses: its own, unless it is a part."""
+    return name.partition(_SEPARATOR)[0]
+
+
+def _part(study: Study, names: list[str]) -> Study:
+    content = resolved(study)
+    content |= {
+        "name": f"{study.name}{_SEPARATOR}{'+'.join(names)}",
+        "tables": ["table1"],
+        "elements": {name: content["elements"][name] for name in names},
+        "specs": {name: spec for name, spec in content["specs"].items() if name in names},
+        "imported": {name: lens for name, lens in content["imported"].items() if lens["elements"] in names},
+        "ablations": {},
+        "restored": None,
+        "tasks": content["tasks"] | {"designs": None},
+        "tolerances": content["tolerances"] | {"designs": None},
+    }
+    return parse(content)

@@ -12,12 +12,12 @@ from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
 from tasklens.study import claims as paper_claims
 from tasklens.study import tables as paper_tables
-from tasklens.study.claims import Claim, PaperClaim
+from tasklens.study.claims import Claims, PaperClaim
 from tasklens.study.descriptions import description
 from tasklens.study.loading import dump
-from tasklens.study.study import Study, StudyError, pick
+from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points
-from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, TableContents
+from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, SeededMeasurements
 
 
 class DrawingJob(Frozen):
@@ -44,71 +44,33 @@ class CertificateJob(Frozen):
         return cls(lens=lens, seed=seed, grade=study.tolerances.grade)
 
 
-class ComparisonJob(Frozen):
-    """A figure of the task-driven lenses of some elements and the best imaging lens; one claim for each."""
-
-    claims: tuple[Claim, ...]
-    seed: int
-
-    @classmethod
-    def of(cls, study: Study, elements: str, seed: int) -> "ComparisonJob":
-        """Return the settings of the job."""
-        kind = "name of elements with a task-driven and an imaging design:"
-        return cls(claims=tuple(pick(paper_claims.claims_by_elements(study), elements, kind)), seed=seed)
-
-    @property
-    def lenses(self) -> list[str]:
-        """All lenses that the claims compare."""
-        return list(dict.fromkeys(lens for claim in self.claims for lens in claim.lenses))
-
-    @property
-    def lens_keys(self) -> list[LensKey]:
-        """All lenses that the claims compare."""
-        return [LensKey(lens, self.seed) for lens in self.lenses]
-
-    @property
-    def measured_keys(self) -> list[MeasuredKey]:
-        """Measurements of all these lenses."""
-        keys = [MeasuredKey(lens, claim.classifier, self.seed) for claim in self.claims for lens in claim.lenses]
-        return list(dict.fromkeys(keys))
-
-    @property
-    def baseline_keys(self) -> list[MeasuredKey]:
-        """Measurements that say which imaging lens is the best."""
-        keys = [MeasuredKey(lens, claim.classifier, self.seed) for claim in self.claims for lens in claim.baselines]
-        return list(dict.fromkeys(keys))
-
-
 class FramesJob(Frozen):
     """A figure of whole frames through these lenses; `field` is a field of the grading, halfway to the corner."""
 
-    comparison: ComparisonJob
+    comparison: Claims
     captures: dict[str, CaptureSettings]
     field: int
 
     @classmethod
     def of(cls, study: Study, elements: str, seed: int) -> "FramesJob":
         """Return the settings of the job."""
-        comparison = ComparisonJob.of(study, elements, seed)
+        comparison = paper_claims.comparison(study, elements, seed)
         captures = {lens: study.capture_of(lens) for lens in comparison.lenses}
         return cls(comparison=comparison, captures=captures, field=study.fields.halfway)
 
 
-class CapturesJob(Frozen):
-    """Test images through every lens of the tables, and the answers of each network.
+class CapturesJob(SeededMeasurements):
+    """Test images through every lens of the tables in the first seed, and the answers of each network.
 
     Attributes:
         captures: settings of captures by lens.
-        measured: (lens, measured name) of the networks.
         chosen_by: measured names of the supervisor by lens (or SHARP), whose predictions choose the images.
     """
 
     captures: dict[str, CaptureSettings]
     restoration: RestorationSettings | None
     classifiers: dict[str, ClassifierSettings]
-    measured: tuple[tuple[str, str], ...]
     chosen_by: dict[str, str]
-    seed: int
 
     @classmethod
     def of(cls, study: Study) -> "CapturesJob":
@@ -121,18 +83,14 @@ class CapturesJob(Frozen):
             if names.split(name)[0] == study.supervisor:
                 chosen_by.setdefault(lens, name)
         return cls(
+            lenses=contents.lenses,
+            measured=contents.measured,
+            seeds=study.seeds[:1],
             captures={lens: study.capture_of(lens) for lens in contents.lenses},
             restoration=study.restoration if restored else None,
             classifiers={name: study.classifier(name) for name in used},
-            measured=contents.measured,
             chosen_by=chosen_by,
-            seed=study.seeds[0],
         )
-
-    @property
-    def lens_keys(self) -> list[LensKey]:
-        """All lenses."""
-        return [LensKey(lens, self.seed) for lens in self.captures]
 
     @property
     def restored(self) -> list[str]:
@@ -142,17 +100,12 @@ class CapturesJob(Frozen):
     @property
     def restored_keys(self) -> list[LensKey]:
         """These lenses."""
-        return [LensKey(lens, self.seed) for lens in self.restored]
-
-    @property
-    def measured_keys(self) -> list[MeasuredKey]:
-        """Networks that answer."""
-        return [MeasuredKey(*pair, self.seed) for pair in self.measured]
+        return [LensKey(lens, *self.seeds) for lens in self.restored]
 
     @property
     def supervised_keys(self) -> list[MeasuredKey]:
         """Measurements that choose the images."""
-        return [MeasuredKey(*pair, self.seed) for pair in self.chosen_by.items()]
+        return [MeasuredKey(*pair, *self.seeds) for pair in self.chosen_by.items()]
 
 
 class TailsJob(SeededLenses):
@@ -172,10 +125,11 @@ class TailsJob(SeededLenses):
         return cls(**keys, specs=specs, fields=study.fields.grading_points)
 
 
-class MeritFunctionJob(Frozen):
+class MeritFunctionJob(SeededLenses):
     """The table and figure of the merit function of each classifier."""
 
-    contents: TableContents
+    study: str
+    classifiers: tuple[str, ...]
     supervisor: str
     outside_window: str
 
@@ -183,13 +137,19 @@ class MeritFunctionJob(Frozen):
     def of(cls, study: Study) -> "MeritFunctionJob":
         """Return the settings of the job."""
         contents = paper_tables.table(study, "table2" if "table2" in study.tables else "table1")
-        return cls(contents=contents, supervisor=study.supervisor, outside_window=study.capture.outside_window)
+        return cls(
+            study=study.name,
+            lenses=contents.lenses,
+            seeds=study.seeds,
+            classifiers=contents.classifiers,
+            supervisor=study.supervisor,
+            outside_window=study.capture.outside_window,
+        )
 
     @property
     def frozen_keys(self) -> list[MeasuredKey]:
         """Measurements of each lens by each classifier."""
-        contents = self.contents
-        return [MeasuredKey(lens, name, seed) for lens, seed in contents.lens_keys for name in contents.classifiers]
+        return [MeasuredKey(lens, name, seed) for lens, seed in self.lens_keys for name in self.classifiers]
 
 
 class ReportJob(Frozen):

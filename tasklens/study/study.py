@@ -27,7 +27,6 @@ from tasklens.settings.specification import Constraints, Spec
 from tasklens.settings.task_settings import TaskSettings, TasksSettings
 from tasklens.settings.tolerance_settings import ToleranceSettings
 from tasklens.study.ablations import Ablation, variant_entry
-from tasklens.study.ranking_settings import RankingSettings
 from tasklens.study.sweep import Sweep
 
 TableName = Literal["table1", "table2", "table3", "table4"]
@@ -36,6 +35,15 @@ TABLES: tuple[TableName, ...] = get_args(TableName)
 
 class StudyError(InputError):
     """A study file that cannot be run; the message names the key, the value and what was expected."""
+
+
+class RankingSettings(Frozen):
+    """Facts of the lenses of a study that `tasklens rank` adds to their files."""
+
+    titles: dict[str, str] = Field({}, description="Display names of lenses, by lens.")
+    left_out: dict[str, str] = Field({}, description="Lenses that are not measured, with the reason.")
+    mtf: dict[str, float] = Field({}, description="Mean MTF of lenses, by which the sieve chose them.")
+    built: tuple[str, ...] = Field((), description="Lenses to build in simulation.")
 
 
 class Study(Frozen):

@@ -12,7 +12,7 @@ _FIXED = ("format", "name", "sweep")  # the same at all points
 _VALUE = re.compile(r"[\w.+-]+")  # as part of a folder's name
 
 
-def _checked(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
+def _check(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
     for key, values in sweep.items():
         if key.split(".")[0] in _FIXED:
             raise ValueError(f"sweep.{key}: cannot differ between points; expected another key, such as spec.f_number")
@@ -28,7 +28,7 @@ def _checked(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
     return sweep
 
 
-Sweep = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_checked)]  # values by dotted key
+Sweep = Annotated[dict[str, tuple[Any, ...]], AfterValidator(_check)]  # values by dotted key
 
 
 def points(sweep: Sweep) -> dict[str, dict[str, Any]]:

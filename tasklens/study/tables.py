@@ -41,7 +41,22 @@ class SeededLenses(Frozen):
         return [LensKey(lens, seed) for lens in self.lenses for seed in self.seeds]
 
 
-class TableContents(SeededLenses):
+class SeededMeasurements(SeededLenses):
+    """Lenses and measurements of tables, each in all seeds.
+
+    Attributes:
+        measured: (lens or SHARP, measured name) of every measurement.
+    """
+
+    measured: tuple[tuple[str, str], ...]
+
+    @property
+    def measured_keys(self) -> list[MeasuredKey]:
+        """All measurements."""
+        return [MeasuredKey(*pair, seed) for pair in self.measured for seed in self.seeds]
+
+
+class TableContents(SeededMeasurements):
     """Contents of one table of the paper.
 
     Attributes:
@@ -57,18 +72,6 @@ class TableContents(SeededLenses):
     classifiers: tuple[str, ...]
     restored: bool
     gaps: dict[str, tuple[str, ...]]
-
-    @property
-    def measured(self) -> tuple[tuple[str, str], ...]:
-        """(lens or SHARP, measured name) of every measurement in the table."""
-        sharp = tuple((SHARP, classifier) for classifier in self.classifiers)
-        captures = ((lens, names.measured(c, self.restored)) for lens in self.lenses for c in self.classifiers)
-        return sharp + tuple(captures)
-
-    @property
-    def measured_keys(self) -> list[MeasuredKey]:
-        """All measurements in the table."""
-        return [MeasuredKey(*pair, seed) for pair in self.measured for seed in self.seeds]
 
     @property
     def frozen_keys(self) -> list[MeasuredKey]:
@@ -89,13 +92,17 @@ def table(study: Study, name: str) -> TableContents:
     ]
     if name == "table4" and study.restored is not None:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
+    classifiers, restored = tuple(study.classifiers) if name == "table2" else (study.supervisor,), name == "table4"
+    sharp = [(SHARP, classifier) for classifier in classifiers]
+    captures = [(lens.name, names.measured(classifier, restored)) for lens in lenses for classifier in classifiers]
     return TableContents(
         study=study.name,
         name=name,
         lenses=tuple(lens.name for lens in lenses),
-        classifiers=tuple(study.classifiers) if name == "table2" else (study.supervisor,),
+        classifiers=classifiers,
         seeds=study.seeds,
-        restored=name == "table4",
+        measured=(*sharp, *captures),
+        restored=restored,
         gaps=_gaps(study, [lens.name for lens in lenses]) if name == "table1" else {},
     )
 
@@ -167,7 +174,7 @@ def chosen_lenses(study: Study, designs: tuple[str, ...] | None) -> tuple[str, .
     return tuple(lens.name for lens in study.lenses.values() if {lens.design_name, lens.name} & {*designs})
 
 
-class VerificationContents(SeededLenses):
+class VerificationContents(SeededMeasurements):
     """Contents of the verification of a study: its tables, their lenses and their measurements.
 
     Attributes:
@@ -176,7 +183,6 @@ class VerificationContents(SeededLenses):
         efl_mm: specified focal length by lens [mm].
         efl_tolerance: largest relative deviation from it.
         tables: tables whose accuracies are compared.
-        measured: (lens or SHARP, measured name) of every measurement in the tables, each once.
         with_optimum: names of the constrained lenses whose design minimises a loss of PSFs or captures.
         seeds: seeds of the study.
     """
@@ -185,13 +191,7 @@ class VerificationContents(SeededLenses):
     efl_mm: dict[str, float]
     efl_tolerance: float
     tables: tuple[TableContents, ...]
-    measured: tuple[tuple[str, str], ...]
     with_optimum: tuple[str, ...]
-
-    @property
-    def measured_keys(self) -> list[MeasuredKey]:
-        """All measurements in the tables."""
-        return [MeasuredKey(*pair, seed) for pair in self.measured for seed in self.seeds]
 
 
 def verification(study: Study) -> VerificationContents:

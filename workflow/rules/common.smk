@@ -13,7 +13,7 @@ from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
 from tasklens.settings.lens_entries import ImportedLens
-from tasklens.study.parts import parts, whole_study_name
+from tasklens.study.loading import parts, whole_study_name
 from tasklens.study.ranking import RankingJob
 from tasklens.study.study import StudyError
 from tasklens.study.tables import LensKey, MeasuredKey
@@ -80,15 +80,21 @@ def durations_in(study):
     return durations_of(study_named(study))
 
 
+def contents(of, wildcards):
+    """Return what `of` returns for the study and, by their names, the wildcards of a job."""
+    names_of_wildcards = list(signature(of).parameters)[1:]
+    values = {name: int(wildcards[name]) if name == "seed" else wildcards[name] for name in names_of_wildcards}
+    return of(study_of(wildcards), **values)
+
+
 def settings(of):
-    """Return a function from wildcards to the settings of a job as JSON; `of` takes the study, and wildcards by name."""
-    parameters = list(signature(of).parameters)[1:]
+    """Return a function from wildcards to the settings of a job as JSON; for `of`, see `contents`."""
+    return lambda w: contents(of, w).model_dump_json()
 
-    def as_json(wildcards):
-        values = {name: int(wildcards[name]) if name == "seed" else wildcards[name] for name in parameters}
-        return of(study_of(wildcards), **values).model_dump_json()
 
-    return as_json
+def files_of(pattern, of, keys="lens_keys"):
+    """Return a function from wildcards to the files of a pattern for all keys of a job's settings; `of` as above."""
+    return lambda w: paths_of(pattern, whole_study_of(w), getattr(contents(of, w), keys))
 
 
 def call(function):
@@ -113,6 +119,12 @@ def path_of(pattern, study, **wildcards):
 def paths_of(pattern, study, keys):
     """Return the paths of a pattern such as `rules.design.output.lens`, of a study, one for each key."""
     return [path_of(pattern, study, **key._asdict()) for key in keys]
+
+
+def report_output(path, caption, category="Tables", **labels):
+    """Return an output that Snakemake's report shows with a caption from `workflow/report`."""
+    labels = {"study": "{study}"} | labels
+    return report(path, caption=f"../report/{caption}.rst", category=category, labels=labels)
 
 
 @cache

@@ -34,11 +34,8 @@ rule drawing:
         lens=rules.design.output.lens,
         psf=psf,
     output:
-        figure=report(
-            "results/{study}/figures/{lens}-seed{seed}.png",
-            caption="../report/drawing.rst",
-            category="Lenses",
-            labels={"study": "{study}", "lens": "{lens}", "seed": "{seed}"},
+        figure=report_output(
+            "results/{study}/figures/{lens}-seed{seed}.png", "drawing", "Lenses", lens="{lens}", seed="{seed}"
         ),
         figure_svg="results/{study}/figures/{lens}-seed{seed}.svg",
         figure_pdf="results/{study}/figures/{lens}-seed{seed}.pdf",
@@ -51,7 +48,7 @@ rule drawing:
     resources:
         **needs("drawing"),
     params:
-        **call("tasklens.study.jobs.drawing.run"),
+        **call("tasklens.study.jobs.certificate.draw"),
         settings=settings(report_jobs.DrawingJob.of),
     script:
         "../scripts/job.py"
@@ -60,15 +57,17 @@ rule drawing:
 rule comparison:
     """Draw the task-driven lenses of some elements and the best imaging lens (figure 3)."""
     input:
-        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), comparison_of(w).lens_keys),
-        psfs=lambda w: psf_files(study_of(w), comparison_of(w).lens_keys),
-        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
+        lenses=files_of(rules.design.output.lens, paper_claims.comparison),
+        psfs=files_of(rules.psfs.output.psf, paper_claims.comparison),
+        metrics=files_of(rules.fine_tune.output.metrics, paper_claims.comparison, "baseline_keys"),
     output:
-        figure=report(
+        figure=report_output(
             "results/{study}/figures/figure3-{elements}-seed{seed}.png",
-            caption="../report/comparison.rst",
-            category="Comparisons",
-            labels={"study": "{study}", "figure": "lenses", "elements": "{elements}", "seed": "{seed}"},
+            "comparison",
+            "Comparisons",
+            figure="lenses",
+            elements="{elements}",
+            seed="{seed}",
         ),
         figure_svg="results/{study}/figures/figure3-{elements}-seed{seed}.svg",
         figure_pdf="results/{study}/figures/figure3-{elements}-seed{seed}.pdf",
@@ -80,7 +79,7 @@ rule comparison:
         **needs("comparison"),
     params:
         **call("tasklens.study.jobs.comparison.run"),
-        settings=settings(report_jobs.ComparisonJob.of),
+        settings=settings(paper_claims.comparison),
     script:
         "../scripts/job.py"
 
@@ -88,17 +87,19 @@ rule comparison:
 rule frames:
     """Draw frames, a chart and test images, through the task-driven lenses and the best imaging lens (figure 4)."""
     input:
-        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), comparison_of(w).lens_keys),
-        psfs=lambda w: psf_files(study_of(w), comparison_of(w).lens_keys),
-        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, study_of(w), comparison_of(w).baseline_keys),
+        lenses=files_of(rules.design.output.lens, paper_claims.comparison),
+        psfs=files_of(rules.psfs.output.psf, paper_claims.comparison),
+        metrics=files_of(rules.fine_tune.output.metrics, paper_claims.comparison, "baseline_keys"),
         test=TEST,
-        correct=lambda w: paths_of(rules.fine_tune.output.predictions, study_of(w), comparison_of(w).measured_keys),
+        correct=files_of(rules.fine_tune.output.predictions, paper_claims.comparison, "measured_keys"),
     output:
-        figure=report(
+        figure=report_output(
             "results/{study}/figures/figure4-{elements}-seed{seed}.png",
-            caption="../report/frames.rst",
-            category="Comparisons",
-            labels={"study": "{study}", "figure": "frames", "elements": "{elements}", "seed": "{seed}"},
+            "frames",
+            "Comparisons",
+            figure="frames",
+            elements="{elements}",
+            seed="{seed}",
         ),
     log:
         "results/{study}/logs/frames/{elements}-seed{seed}.log",
@@ -117,12 +118,10 @@ rule captures:
     """Simulate captures of some test images through every lens of the first seed; classify them with each network."""
     input:
         test=lambda w: [path_of(pattern, whole_study_of(w)) for pattern in TEST],
-        psfs=lambda w: psf_files(whole_study_of(w), captures_of(w).lens_keys),
-        restorations=lambda w: paths_of(rules.restore.output.weights, whole_study_of(w), captures_of(w).restored_keys),
-        weights=lambda w: paths_of(rules.fine_tune.output.weights, whole_study_of(w), captures_of(w).measured_keys),
-        correct=lambda w: paths_of(
-            rules.fine_tune.output.predictions, whole_study_of(w), captures_of(w).supervised_keys
-        ),
+        psfs=files_of(rules.psfs.output.psf, report_jobs.CapturesJob.of),
+        restorations=files_of(rules.restore.output.weights, report_jobs.CapturesJob.of, "restored_keys"),
+        weights=files_of(rules.fine_tune.output.weights, report_jobs.CapturesJob.of, "measured_keys"),
+        correct=files_of(rules.fine_tune.output.predictions, report_jobs.CapturesJob.of, "supervised_keys"),
     output:
         images="results/{study}/figures/captures.safetensors",
         answers="results/{study}/tables/answers.csv",

@@ -43,14 +43,10 @@ def start_metrics(wildcards):
     return paths_of(rules.fine_tune.output.metrics, study, keys)
 
 
-def psf_files(study, keys):
-    """Return the PSFs of lenses; none for sharp images."""
-    return paths_of(rules.psfs.output.psf, study, [key for key in keys if key.lens != names.SHARP])
-
-
 def psf(wildcards):
-    """Return the PSFs of the lens of a job."""
-    return psf_files(study_of(wildcards), [LensKey(wildcards.lens, wildcards.seed)])
+    """Return the PSFs of the lens of a job; none for sharp images."""
+    lens, seed = wildcards.lens, wildcards.seed
+    return [] if lens == names.SHARP else path_of(rules.psfs.output.psf, study_of(wildcards), lens=lens, seed=seed)
 
 
 def sharp_weights(wildcards):
@@ -66,44 +62,26 @@ def supervisor_weights(wildcards):
     return paths_of(rules.fine_tune.output.weights, study, [key])
 
 
-def table_of(wildcards):
+def table_of(study, table):
     """Return the contents of a table of the paper."""
-    contents = paper_tables.table(study_of(wildcards), wildcards.table)
+    contents = paper_tables.table(study, table)
     if not contents.lenses:
-        raise StudyError(f"{wildcards.table}: the study has no lens for this table; add a design")
+        raise StudyError(f"{table}: the study has no lens for this table; add a design")
     return contents
 
 
-def comparison_of(wildcards):
-    """Return the contents of a figure that compares lenses."""
-    return report_jobs.ComparisonJob.of(study_of(wildcards), wildcards.elements, int(wildcards.seed))
-
-
-def captures_of(wildcards):
-    """Return the lenses and networks whose captures and answers are on the page of a study."""
-    return report_jobs.CapturesJob.of(study_of(wildcards))
-
-
-def ranking_of(wildcards):
-    """Return the contents of a ranking."""
-    return RankingJob.of(study_of(wildcards))
-
-
-def compared(claims):
-    """Return the inputs of a table of claims: files of lenses, metrics and predictions; `claims` takes wildcards."""
+def claim_inputs(claims):
+    """Return the inputs of a table of claims: files of lenses, metrics and predictions; for `claims`, see `contents`."""
     return {
-        "lenses": lambda w: paths_of(rules.design.output.lens, whole_study_of(w), claims(w).lens_keys),
-        "metrics": lambda w: paths_of(rules.fine_tune.output.metrics, whole_study_of(w), claims(w).measured_keys),
-        "predictions": lambda w: paths_of(
-            rules.fine_tune.output.predictions, whole_study_of(w), claims(w).measured_keys
-        ),
+        "lenses": files_of(rules.design.output.lens, claims),
+        "metrics": files_of(rules.fine_tune.output.metrics, claims, "measured_keys"),
+        "predictions": files_of(rules.fine_tune.output.predictions, claims, "measured_keys"),
     }
 
 
 def design_benchmarks(wildcards):
     """Return the benchmarks of designs; they are not inputs, or a missing one would repeat its design."""
-    keys = paper_effort.effort(study_of(wildcards)).lens_keys
-    return {"benchmarks": paths_of(rules.design.benchmark, whole_study_of(wildcards), keys)}
+    return {"benchmarks": files_of(rules.design.benchmark, paper_effort.effort)(wildcards)}
 
 
 def optional_files(wildcards):
@@ -124,11 +102,6 @@ def optional_files(wildcards):
     }
 
 
-def shown(pattern):
-    """Return a function from wildcards to the files of all lenses on a page."""
-    return lambda w: paths_of(pattern, whole_study_of(w), report_jobs.ReportJob.of(study_of(w)).lens_keys)
-
-
 def tables_of(pattern):
     """Return a function from wildcards to the files of all tables on a page."""
     return lambda w: [
@@ -144,13 +117,13 @@ def tables_of_points(wildcards):
     ]
 
 
-def verification(_):
-    """Return the contents of the verification of the study of the configuration."""
-    if STUDY.sweep:
+def verification(study):
+    """Return the contents of the verification of a study."""
+    if study.sweep:
         raise StudyError(
             "verify: a sweep is verified point by point, with --configfile results/<study>/<point>/study.yaml"
         )
-    return paper_tables.verification(STUDY)
+    return paper_tables.verification(study)
 
 
 def no_ablation(wildcards):

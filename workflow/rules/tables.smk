@@ -4,16 +4,11 @@
 rule table:
     """Make one table of the paper as CSV, Markdown and LaTeX."""
     input:
-        lenses=lambda w: paths_of(rules.design.output.lens, whole_study_of(w), table_of(w).lens_keys),
-        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, whole_study_of(w), table_of(w).measured_keys),
-        frozen=lambda w: paths_of(rules.fine_tune.output.frozen, whole_study_of(w), table_of(w).frozen_keys),
+        lenses=files_of(rules.design.output.lens, table_of),
+        metrics=files_of(rules.fine_tune.output.metrics, table_of, "measured_keys"),
+        frozen=files_of(rules.fine_tune.output.frozen, table_of, "frozen_keys"),
     output:
-        csv=report(
-            "results/{study}/tables/{table}.csv",
-            caption="../report/table.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "{table}"},
-        ),
+        csv=report_output("results/{study}/tables/{table}.csv", "table", table="{table}"),
         md="results/{study}/tables/{table}.md",
         tex="results/{study}/tables/{table}.tex",
         seeds_csv="results/{study}/tables/{table}.seeds.csv",
@@ -27,7 +22,7 @@ rule table:
         **needs("table"),
     params:
         **call("tasklens.study.report.tables.make"),
-        settings=settings(lambda study, table: paper_tables.table(study, table)),
+        settings=settings(table_of),
     script:
         "../scripts/job.py"
 
@@ -35,14 +30,9 @@ rule table:
 rule verdicts_table:
     """Make the table of verdicts on the paper's claims from the measured accuracies."""
     input:
-        **compared(lambda w: paper_claims.claims(study_of(w))),
+        **claim_inputs(paper_claims.claims),
     output:
-        csv=report(
-            "results/{study}/tables/verdicts.csv",
-            caption="../report/verdicts.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "verdicts"},
-        ),
+        csv=report_output("results/{study}/tables/verdicts.csv", "verdicts", table="verdicts"),
         md="results/{study}/tables/verdicts.md",
         answers="results/{study}/tables/verdicts.npz",
     log:
@@ -62,14 +52,9 @@ rule verdicts_table:
 rule ablation:
     """Make the table of one ablation: a design and its variants."""
     input:
-        **compared(lambda w: paper_claims.ablation_claims(study_of(w), w.ablation).claims),
+        **claim_inputs(lambda study, ablation: paper_claims.ablation_claims(study, ablation).claims),
     output:
-        csv=report(
-            "results/{study}/tables/ablation_{ablation}.csv",
-            caption="../report/ablation.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "ablation {ablation}"},
-        ),
+        csv=report_output("results/{study}/tables/ablation_{ablation}.csv", "ablation", table="ablation {ablation}"),
         md="results/{study}/tables/ablation_{ablation}.md",
         answers="results/{study}/tables/ablation_{ablation}.npz",
     log:
@@ -88,16 +73,9 @@ rule ablation:
 rule psf_tail_table:
     """Make the tables of core, tail and encircled energy of all PSFs."""
     input:
-        lenses=lambda w: paths_of(
-            rules.design.output.lens, whole_study_of(w), report_jobs.TailsJob.of(study_of(w)).lens_keys
-        ),
+        lenses=files_of(rules.design.output.lens, report_jobs.TailsJob.of),
     output:
-        csv=report(
-            "results/{study}/tables/psf_tail.csv",
-            caption="../report/psf_tail.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "tails of PSFs"},
-        ),
+        csv=report_output("results/{study}/tables/psf_tail.csv", "psf_tail", table="tails of PSFs"),
         md="results/{study}/tables/psf_tail.md",
         fields_csv="results/{study}/tables/psf_tail.fields.csv",
         encircled_energy="results/{study}/tables/encircled_energy.csv",
@@ -118,16 +96,9 @@ rule psf_tail_table:
 rule effort_table:
     """Make the table of the effort of each design: lens evaluations, and wall times, which differ from run to run."""
     input:
-        lenses=lambda w: paths_of(
-            rules.design.output.lens, whole_study_of(w), paper_effort.effort(study_of(w)).lens_keys
-        ),
+        lenses=files_of(rules.design.output.lens, paper_effort.effort),
     output:
-        csv=report(
-            "results/{study}/effort.csv",
-            caption="../report/effort.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "effort"},
-        ),
+        csv=report_output("results/{study}/effort.csv", "effort", table="effort"),
         md="results/{study}/effort.md",
     log:
         "results/{study}/logs/effort_table.log",
@@ -148,17 +119,12 @@ rule effort_table:
 rule ranking_table:
     """Rank lenses by the accuracy of the supervisor: a table, and a page."""
     input:
-        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), ranking_of(w).lens_keys),
-        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, study_of(w), ranking_of(w).measured_keys),
-        predicted=lambda w: paths_of(rules.fine_tune.output.predictions, study_of(w), ranking_of(w).measured_keys),
-        built=lambda w: paths_of(rules.production.output.lenses, study_of(w), ranking_of(w).built_keys),
+        lenses=files_of(rules.design.output.lens, RankingJob.of),
+        metrics=files_of(rules.fine_tune.output.metrics, RankingJob.of, "measured_keys"),
+        predicted=files_of(rules.fine_tune.output.predictions, RankingJob.of, "measured_keys"),
+        built=files_of(rules.production.output.lenses, RankingJob.of, "built_keys"),
     output:
-        csv=report(
-            "results/{study}/tables/ranking.csv",
-            caption="../report/ranking.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "ranking"},
-        ),
+        csv=report_output("results/{study}/tables/ranking.csv", "ranking", table="ranking"),
         md="results/{study}/tables/ranking.md",
         page="results/{study}/ranking.html",
     log:
@@ -177,23 +143,15 @@ rule ranking_table:
 rule merit_function_table:
     """Make the table and figure of the loss of each classifier as a function of the MTF."""
     input:
-        psfs=lambda w: psf_files(study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).contents.lens_keys),
-        frozen=lambda w: paths_of(
-            rules.fine_tune.output.frozen, study_of(w), report_jobs.MeritFunctionJob.of(study_of(w)).frozen_keys
-        ),
+        psfs=files_of(rules.psfs.output.psf, report_jobs.MeritFunctionJob.of),
+        frozen=files_of(rules.fine_tune.output.frozen, report_jobs.MeritFunctionJob.of, "frozen_keys"),
     output:
-        csv=report(
-            "results/{study}/tables/merit_function.csv",
-            caption="../report/merit_function.rst",
-            category="Merit function",
-            labels={"study": "{study}", "result": "table"},
+        csv=report_output(
+            "results/{study}/tables/merit_function.csv", "merit_function", "Merit function", result="table"
         ),
         md="results/{study}/tables/merit_function.md",
-        figure=report(
-            "results/{study}/figures/merit_function.png",
-            caption="../report/merit_function.rst",
-            category="Merit function",
-            labels={"study": "{study}", "result": "figure"},
+        figure=report_output(
+            "results/{study}/figures/merit_function.png", "merit_function", "Merit function", result="figure"
         ),
     log:
         "results/{study}/logs/merit_function_table.log",
@@ -217,27 +175,20 @@ rule report_page:
         verdicts=rules.verdicts_table.output.csv,
         psf_tail=rules.psf_tail_table.output.csv,
         effort=rules.effort_table.output.csv,
-        lenses=shown(rules.design.output.lens),
-        histories=shown(rules.design.output.history),
-        pages=shown(rules.certificate.output.page),
-        zemax=shown(rules.certificate.output.zemax),
-        catalogues=shown(rules.certificate.output.catalogue),
-        sections=shown(rules.certificate.output.section),
-        spots=shown(rules.certificate.output.spots),
-        psfs=shown(rules.certificate.output.psfs),
-        curves=shown(rules.certificate.output.curves),
-        restorations=lambda w: paths_of(
-            rules.restore.output.history, whole_study_of(w), report_jobs.ReportJob.of(study_of(w)).restored_keys
-        ),
+        lenses=files_of(rules.design.output.lens, report_jobs.ReportJob.of),
+        histories=files_of(rules.design.output.history, report_jobs.ReportJob.of),
+        pages=files_of(rules.certificate.output.page, report_jobs.ReportJob.of),
+        zemax=files_of(rules.certificate.output.zemax, report_jobs.ReportJob.of),
+        catalogues=files_of(rules.certificate.output.catalogue, report_jobs.ReportJob.of),
+        sections=files_of(rules.certificate.output.section, report_jobs.ReportJob.of),
+        spots=files_of(rules.certificate.output.spots, report_jobs.ReportJob.of),
+        psfs=files_of(rules.certificate.output.psfs, report_jobs.ReportJob.of),
+        curves=files_of(rules.certificate.output.curves, report_jobs.ReportJob.of),
+        restorations=files_of(rules.restore.output.history, report_jobs.ReportJob.of, "restored_keys"),
         capture_file=rules.captures.output.images,
         answers=rules.captures.output.answers,
     output:
-        report=report(
-            "results/{study}/report.html",
-            caption="../report/report.rst",
-            category="Page",
-            labels={"study": "{study}", "result": "page"},
-        ),
+        report=report_output("results/{study}/report.html", "report", "Page", result="page"),
         answer="results/{study}/answer.svg",
     log:
         "results/{study}/logs/report_page.log",
@@ -278,10 +229,10 @@ rule sweep_table:
 rule verify:
     """Verify limits and accuracies of the finished study of the configuration; print failures and verdicts."""
     input:
-        lenses=lambda w: paths_of(rules.design.output.lens, STUDY, verification(w).lens_keys),
-        metrics=lambda w: paths_of(rules.fine_tune.output.metrics, STUDY, verification(w).measured_keys),
-        predictions=lambda w: paths_of(rules.fine_tune.output.predictions, STUDY, verification(w).measured_keys),
-        reproduced=lambda w: paths_of(rules.reproduce.output.predictions, STUDY, verification(w).measured_keys),
+        lenses=files_of(rules.design.output.lens, verification),
+        metrics=files_of(rules.fine_tune.output.metrics, verification, "measured_keys"),
+        predictions=files_of(rules.fine_tune.output.predictions, verification, "measured_keys"),
+        reproduced=files_of(rules.reproduce.output.predictions, verification, "measured_keys"),
         tables=tables_of(rules.table.output.csv),
         verdicts=lambda _: path_of(rules.verdicts_table.output.md, STUDY),
     log:
@@ -294,6 +245,6 @@ rule verify:
         **needs("verify"),
     params:
         **call("tasklens.study.report.verification.run"),
-        settings=settings(paper_tables.verification),
+        settings=settings(verification),
     script:
         "../scripts/job.py"

@@ -70,25 +70,13 @@ rule task_fine_tune:
 rule tasks_table:
     """Make the table of tasks other than classification, with the scores for each lens, and draw PSFs of the lenses."""
     input:
-        metrics=lambda w: paths_of(
-            rules.task_fine_tune.output.metrics, study_of(w), task_jobs.tasks(study_of(w)).score_keys
-        ),
-        lenses=lambda w: paths_of(rules.design.output.lens, study_of(w), task_jobs.tasks(study_of(w)).drawn_keys),
-        psfs=lambda w: psf_files(study_of(w), task_jobs.tasks(study_of(w)).drawn_keys),
+        metrics=files_of(rules.task_fine_tune.output.metrics, task_jobs.tasks, "score_keys"),
+        lenses=files_of(rules.design.output.lens, task_jobs.tasks, "drawn_keys"),
+        psfs=files_of(rules.psfs.output.psf, task_jobs.tasks, "drawn_keys"),
     output:
-        csv=report(
-            "results/{study}/tables/tasks.csv",
-            caption="../report/tasks.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "other tasks"},
-        ),
+        csv=report_output("results/{study}/tables/tasks.csv", "tasks", table="other tasks"),
         md="results/{study}/tables/tasks.md",
-        figure=report(
-            "results/{study}/figures/tasks-psfs.png",
-            caption="../report/tasks.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "PSFs of other tasks"},
-        ),
+        figure=report_output("results/{study}/figures/tasks-psfs.png", "tasks", table="PSFs of other tasks"),
     log:
         "results/{study}/logs/tasks_table.log",
     benchmark:

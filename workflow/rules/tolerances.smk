@@ -28,22 +28,12 @@ rule production:
 rule tolerances_table:
     """Make the table of built lenses: loss of accuracy in manufacture, compared with imaging lenses."""
     input:
-        built_lenses=lambda w: paths_of(
-            rules.production.output.lenses, study_of(w), built_lenses.built(study_of(w)).lens_keys
-        ),
+        built_lenses=files_of(rules.production.output.lenses, built_lenses.built_contents),
     output:
-        csv=report(
-            "results/{study}/tables/tolerances.csv",
-            caption="../report/tolerances.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "built lenses"},
-        ),
+        csv=report_output("results/{study}/tables/tolerances.csv", "tolerances", table="built lenses"),
         md="results/{study}/tables/tolerances.md",
-        compared_csv=report(
-            "results/{study}/tables/tolerances.compared.csv",
-            caption="../report/tolerances.rst",
-            category="Tables",
-            labels={"study": "{study}", "table": "built lenses, compared"},
+        compared_csv=report_output(
+            "results/{study}/tables/tolerances.compared.csv", "tolerances", table="built lenses, compared"
         ),
     log:
         "results/{study}/logs/tolerances_table.log",
@@ -53,6 +43,6 @@ rule tolerances_table:
         **needs("tolerances_table"),
     params:
         **call("tasklens.study.report.tolerances.make"),
-        settings=settings(built_lenses.built),
+        settings=settings(built_lenses.built_contents),
     script:
         "../scripts/job.py"

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import pandas
 import torch
 from timm.data import ImageNetInfo
 from torch import Tensor
@@ -13,13 +14,14 @@ from tasklens.optics.io import psf_files
 from tasklens.recognition import classifiers, dataset
 from tasklens.recognition.classifiers import Classifier
 from tasklens.runtime.devices import claim
-from tasklens.runtime.files import write_rows, write_tensors
+from tasklens.runtime.files import FileError, write_rows, write_tensors
 from tasklens.settings import names
 from tasklens.settings.names import SHARP
-from tasklens.study.report.chosen_images import choose
+from tasklens.show import predictions
 from tasklens.study.report_jobs import CapturesJob
 
 FIELDS = {0: "axis", 4: "middle", 8: "corner"}  # labels of three of the nine fields
+_DIVIDING = 2  # number of images that divide the lenses
 
 
 def run(
@@ -97,3 +99,28 @@ def _class_names() -> dict[str, str]:
     """Return the English names of ImageNet's classes by WordNet id."""
     info = ImageNetInfo()
     return {name: info.label_name_to_description(name).split(",")[0] for name in info.label_names()}
+
+
+def choose(files: Mapping[str, Path]) -> list[int]:
+    """Choose images from predictions by lens (or SHARP), without human choice.
+
+    Candidates are the test images that are recognised when sharp (if that is measured). The rule takes the first one,
+    and the two that divide the lenses most: their share of lenses and fields with a correct answer is the nearest to
+    one half. All have different labels.
+
+    Raises:
+        FileError: there are no predictions for any lens.
+    """
+    correct = {lens: predictions.read(path) for lens, path in files.items()}
+    sharp = correct.pop(SHARP, None)
+    if not correct:
+        raise FileError("captures: no lens has been measured yet")
+    share = pandas.concat([frame.mean(axis=1) for frame in correct.values()], axis=1).mean(axis=1)
+    if sharp is not None and sharp.mean(axis=1).any():
+        share = share[sharp.mean(axis=1) > 0]
+    order = [share.index[0], *(share - 0.5).abs().sort_values(kind="stable").index]
+    images: dict[str, int] = {}
+    for image, label in order:
+        if len(images) <= _DIVIDING:
+            images.setdefault(label, int(image))
+    return list(images.values())

@@ -1,4 +1,4 @@
-"""Certificate of a lens: figures, aberrations, limits, manufacturability and plots; and its Zemax file."""
+"""Certificate of a lens: figures, aberrations, limits, manufacturability and plots; its Zemax file; its drawing."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +10,9 @@ from tasklens.optics.io import zemax as zemax_files
 from tasklens.optics.tolerancing.errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.runtime.files import write_text
-from tasklens.show import certificate, figures, manufacturability
-from tasklens.study.report_jobs import CertificateJob
+from tasklens.show import certificate, figures
+from tasklens.show.panel import Panel
+from tasklens.study.report_jobs import CertificateJob, DrawingJob
 
 _RAYS = 256  # per field and colour, for sensitivities
 
@@ -37,7 +38,7 @@ def run(
     tolerances = errors(design, settings.grade)
     displacements_um = displacements(design, view, tolerances, _RAYS).tolist()
     errors_um = {error.name: um for error, um in zip(tolerances, displacements_um, strict=True)}
-    limits = manufacturability.markdown(
+    limits = certificate.manufacturability(
         content["margins"], shapes(design), errors_um, settings.grade.name, view.pixel_pitch_um
     )
     write_text(page, f"{text}\n{limits}")
@@ -45,4 +46,9 @@ def run(
         zemax, replace(prescription.with_system_data(lens_prescription, view), title=settings.lens, aperture=None)
     )
     catalogue.touch()  # already written if the lens has a glass of its own
-    figures.draw_parts(figures.panel(settings.lens, lens, psf), section, spots, psfs, curves)
+    figures.draw_parts(Panel.read(settings.lens, lens, psf), section, spots, psfs, curves)
+
+
+def draw(settings: DrawingJob, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
+    """Draw the lens in one figure, as PNG, SVG and PDF."""
+    figures.save(figures.figure_of([Panel.read(settings.lens, lens, psf)]), [figure, figure_svg, figure_pdf])

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tasklens.show import figures
+from tasklens.show.panel import Panel
+from tasklens.study.claims import Claims
 from tasklens.study.report.measurements import Measurements
-from tasklens.study.report_jobs import ComparisonJob
 
 
 def run(
-    settings: ComparisonJob,
+    settings: Claims,
     lenses: Sequence[Path],
     psfs: Sequence[Path],
     metrics: Sequence[Path],
@@ -25,12 +26,12 @@ def run(
     """
     lens_of = dict(zip(settings.lenses, lenses, strict=True))
     psf_of = dict(zip(settings.lenses, psfs, strict=True))
-    panels = [figures.panel(lens, lens_of[lens], psf_of[lens]) for lens in lenses_to_draw(settings, metrics)]
+    panels = [Panel.read(lens, lens_of[lens], psf_of[lens]) for lens in lenses_to_draw(settings, metrics)]
     figures.save(figures.figure_of(panels), [figure, figure_svg, figure_pdf])
 
 
-def lenses_to_draw(settings: ComparisonJob, metrics: Sequence[Path]) -> list[str]:
+def lenses_to_draw(settings: Claims, metrics: Sequence[Path]) -> list[str]:
     """Return the lens of each claim, and the strongest baseline of the claims."""
     metrics_of = dict(zip(settings.baseline_keys, metrics, strict=True))
-    strongest = Measurements({}, metrics_of).strongest_baseline(settings.claims[0], settings.seed)
+    strongest = Measurements({}, metrics_of).strongest_baseline(settings.claims[0], *settings.seeds)
     return [*(claim.lens for claim in settings.claims), strongest]

@@ -2,9 +2,13 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from torch import Tensor
 
 from tasklens.camera.blend import capture
@@ -17,15 +21,40 @@ from tasklens.optics.view import View
 from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.show import predictions
+from tasklens.show.figures import save
 from tasklens.study.jobs.comparison import lenses_to_draw
-from tasklens.study.report import frames
 from tasklens.study.report_jobs import FramesJob
 
 _SHAPE = 1080, 1920  # largest frame [pixels]
+_ZOOM = 96, 144  # height and width of a zoomed patch [pixels]
+# Centre of each patch [share of the height, share of the width], and its colour.
+_PATCHES = {"centre": (0.5, 0.5, "#0072B2"), "off axis": (0.81, 0.81, "#D55E00")}
+_DPI = 130
 _RULE = (
     "Last rows: the first test image in file order that the network of {one} recognises halfway to the corner\nbut "
     "that of {other} does not, and the first one vice versa, if there are any"
 )
+
+
+@dataclass(frozen=True)
+class ClassifiedImage:
+    """A test image, and whether the network of each lens recognises it.
+
+    Attributes:
+        title: description of the image.
+        shown: images (3, H, W) by column: the sharp image, and the captures of the lenses at one field.
+        correct: whether each capture is recognised, by column.
+    """
+
+    title: str
+    shown: Mapping[str, Tensor]
+    correct: Mapping[str, bool]
+
+    def caption(self, column: str) -> str:
+        """Return the words above the image of a column."""
+        if column not in self.correct:
+            return self.title
+        return "recognised" if self.correct[column] else "not recognised"
 
 
 def run(
@@ -65,7 +94,7 @@ def run(
     psf_of, correct_of = (dict(zip(settings.captures, paths, strict=True)) for paths in (psfs, correct))
     by_lens = {lens: (psf_of[lens], correct_of[lens]) for lens in names}
     disagreements = _disagreements(settings, by_lens, images)
-    frames.draw(figure, title, rows, disagreements, _RULE.format(one=names[0], other=names[-1]))
+    draw(figure, title, rows, disagreements, _RULE.format(one=names[0], other=names[-1]))
 
 
 def _frame_shape(view: View) -> tuple[int, int]:
@@ -86,7 +115,7 @@ def _tile(test: ImageDataset, shape: tuple[int, int]) -> Tensor:
 
 def _disagreements(
     settings: FramesJob, files: Mapping[str, tuple[Path, Path]], test: ImageDataset
-) -> list[frames.ClassifiedImage]:
+) -> list[ClassifiedImage]:
     """Return the first image that only the network of the first lens recognises, and the same for the last lens.
 
     The list is shorter if there is no such image.
@@ -108,9 +137,7 @@ def _disagreements(
         images, _ = test.batch(torch.tensor([int(image)]))
         captures = {lens: _single(settings, lens, psf, images, int(image)) for lens, (psf, _) in files.items()}
         answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
-        disagreements.append(
-            frames.ClassifiedImage(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers)
-        )
+        disagreements.append(ClassifiedImage(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers))
     return disagreements
 
 
@@ -121,3 +148,49 @@ def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor, number: i
     of_turn = (tensor.chunk(turns)[k][[settings.field]] for tensor in (grid, light))
     camera = PsfCamera.of(settings.captures[lens], *of_turn)
     return camera.all_fields(images, torch.Generator().manual_seed(0))[0, 0]
+
+
+def draw(
+    path: Path, title: str, frames: Mapping[str, Mapping[str, Tensor]], answered: Sequence[ClassifiedImage], rule: str
+) -> None:
+    """Draw frames (3, H, W) by name and column with their patches, and single captures below them.
+
+    Args:
+        rule: how the single captures were chosen.
+    """
+    columns = list(next(iter(frames.values())))
+    ratios = [3.2, 2.0] * len(frames) + [2.2] * len(answered)
+    figure = Figure(figsize=(5.2 * len(columns), 1.02 * sum(ratios)), layout="constrained")
+    figure.suptitle(title, weight="bold")
+    parts = iter(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0])
+    for name, captures in frames.items():
+        for axes, column in zip(next(parts).subplots(1, len(columns)), columns, strict=True):
+            _show(axes, captures[column], f"{name}, {column}")
+            for row, across, colour in _PATCHES.values():
+                top, left = _corner(captures[column], row, across)
+                axes.add_patch(Rectangle((left, top), _ZOOM[1], _ZOOM[0], fill=False, edgecolor=colour))
+        zoomed = next(parts).subplots(1, 2 * len(columns))
+        places = [(column, *patch) for column in columns for patch in _PATCHES.items()]
+        for axes, (column, where, (row, across, colour)) in zip(zoomed, places, strict=True):
+            top, left = _corner(captures[column], row, across)
+            _show(axes, captures[column][:, top : top + _ZOOM[0], left : left + _ZOOM[1]], where)
+            axes.spines[:].set_color(colour)
+            axes.spines[:].set_linewidth(2)
+    for entry in answered:
+        for axes, column in zip(next(parts).subplots(1, len(columns)), columns, strict=True):
+            _show(axes, entry.shown[column], f"{column}: {entry.caption(column)}")
+    figure.supxlabel(rule, fontsize=9)
+    save(figure, [path], _DPI)
+
+
+def _corner(frame: Tensor, row: float, column: float) -> tuple[int, int]:
+    """Return the first row and column of a patch centred at a place."""
+    height, width = frame.shape[1:]
+    return round(row * height) - _ZOOM[0] // 2, round(column * width) - _ZOOM[1] // 2
+
+
+def _show(axes: Axes, image: Tensor, title: str) -> None:
+    axes.imshow(image.clamp(0, 1).movedim(0, -1).numpy(), interpolation="nearest")
+    axes.set_title(title, fontsize=9)
+    axes.set_xticks([])
+    axes.set_yticks([])

@@ -37,6 +37,7 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
         effort.lens: pandas.Series([by_key[LensKey(effort.lens, seed)] for seed in efforts.seeds]).median()
         for effort in efforts.efforts
     }
+    tried = {effort.lens: effort.tried for effort in efforts.efforts}
     rows = []
     for effort in efforts.efforts:
         elements, _, design = effort.lens.partition("-")
@@ -47,7 +48,7 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
                 "design": design,
                 "evaluations": effort.tried,
                 "wall_minutes": minutes[effort.lens],
-                "evaluations_in_all": effort.tried_in_all,
+                "evaluations_in_all": sum(tried[lens] for lens in all_lenses),
                 "wall_minutes_in_all": sum(minutes[lens] for lens in all_lenses),
             }
         )

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pandas
 
@@ -15,6 +15,8 @@ from tasklens.study.claims import Claim, Claims
 from tasklens.study.tables import LensKey, MeasuredKey
 
 FIELD = "accuracy_field"  # beginning of the columns of accuracy by field
+LEAST_ENERGY = 0.5  # inside the PSF window, mean over fields; a design with less failed
+_Accuracy = TypeVar("_Accuracy", float, pandas.DataFrame)
 
 
 def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
@@ -105,3 +107,17 @@ class Measurements:
         """
         accuracy = {name: self.values(name, claim.classifier, seed)["minival_accuracy"] for name in claim.baselines}
         return max(accuracy, key=lambda name: accuracy[name], default="")
+
+
+def least_accuracy(sharp: _Accuracy, chance: float) -> _Accuracy:
+    """Return the least accuracy [%] of a design that did not fail: half-way between chance and sharp images."""
+    return (sharp + chance) / 2
+
+
+def has_failed(accuracy: float, sharp: float, chance: float, energy_in_window: float) -> bool:
+    """Return whether a design failed: too little energy or, with a fine-tuned classifier, too little accuracy.
+
+    Args:
+        accuracy, sharp, chance: accuracy on the captures, on sharp images, and by guessing [%].
+    """
+    return not (energy_in_window >= LEAST_ENERGY and accuracy >= least_accuracy(sharp, chance))

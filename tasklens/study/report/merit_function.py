@@ -84,15 +84,15 @@ def make(
     """Write the weights of all classifiers as CSV and Markdown, and draw them.
 
     Args:
-        psfs: PSFs of the lenses in `settings.contents.lens_keys`.
+        psfs: PSFs of the lenses in `settings.lens_keys`.
         frozen: losses of `settings.frozen_keys`.
 
     Raises:
         FileError: there are too few lenses.
     """
-    contents, supervisor = settings.contents, settings.supervisor
+    supervisor = settings.supervisor
     measured = Measurements({}, {}, frozen=dict(zip(settings.frozen_keys, frozen, strict=True)))
-    keys = contents.lens_keys
+    keys = settings.lens_keys
     names = sorted({lens for lens, _ in keys})
     if len(names) < _LEAST_LENSES:
         raise FileError(f"merit_function: {len(names)} lenses in the table; expected {_LEAST_LENSES} or more")
@@ -102,13 +102,13 @@ def make(
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together
     losses = {
         name: numpy.log(numpy.concatenate([measured.losses_by_field(lens, name, seed) for lens, seed in keys]))
-        for name in contents.classifiers
+        for name in settings.classifiers
     }
     fits = {name: fit(modulations, loss) for name, loss in losses.items()}
     predicted = {name: leave_one_out(modulations, loss, lenses) for name, loss in losses.items()}
     ranking = predicted[supervisor]
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
-    note = _NOTE.format(study=contents.study, fields=fields, lenses=len(names), supervisor=supervisor)
+    note = _NOTE.format(study=settings.study, fields=fields, lenses=len(names), supervisor=supervisor)
     publish(csv, md, "Merit functions of the classifiers", table, note)
     _draw(figure, fits, losses, predicted)
 

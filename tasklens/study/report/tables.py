@@ -4,6 +4,7 @@ Columns with the paper's values end in `_paper`; these are for another data set 
 """
 
 import importlib.metadata
+import re
 import subprocess
 from collections.abc import Iterable, Sequence
 from itertools import product
@@ -18,9 +19,7 @@ from tasklens.settings.names import SHARP
 from tasklens.show import headings
 from tasklens.show.headings import PAPER, STD
 from tasklens.show.publish import publish
-from tasklens.study.report import latex
-from tasklens.study.report.failure import failed
-from tasklens.study.report.measurements import FIELD, Measurements
+from tasklens.study.report.measurements import FIELD, Measurements, has_failed
 from tasklens.study.tables import TableContents
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
@@ -73,7 +72,7 @@ def _row(
     """Return the row of a lens, from its metrics and those of the sharp images."""
     elements, _, design = lens.partition("-")
     values = metrics | measured.lens_values(lens, seed) | {"reference_accuracy": sharp["accuracy"]}
-    lost = failed(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
+    lost = has_failed(values["accuracy"], sharp["accuracy"], sharp["chance"], values["energy_in_window"])
     keys = {"elements": elements, "design": design, "classifier": classifier, "seed": seed}
     return keys | values | {"failed": float(lost)}
 
@@ -123,7 +122,7 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
     table = table.reset_index()
     paper_rows = paper[paper["table"] == contents.name]
     published = paper_rows.pivot_table(index=keys, columns="metric", values="value", sort=False)
-    shared = [c for c in columns if c in published and c != "parameters_m"]
+    shared = [c for c in columns if c in published]
     return table.merge(published[shared].add_suffix(PAPER).reset_index(), on=keys, how="left")
 
 
@@ -161,7 +160,7 @@ def make(
     columns = (*keys, *_columns(contents, rows), "reference_accuracy", "chance", *by_field)
     write_text(seeds_csv, rows[[name for name in dict.fromkeys(columns) if name in rows]].to_csv(index=False))
     caption = _caption(contents, table)
-    write_text(tex, latex.tabular(table, caption, f"tab:{contents.study}-{contents.name}"))
+    write_text(tex, latex_table(table, caption, f"tab:{contents.study}-{contents.name}"))
     write_text(json, dumps(provenance(contents), indent=1) + "\n")
 
 
@@ -186,3 +185,24 @@ def provenance(contents: TableContents) -> dict[str, object]:
         commit = "unknown"
     versions = {name: importlib.metadata.version(name) for name in PACKAGES}
     return {"study": contents.study, "seeds": list(contents.seeds), "commit": commit, "versions": versions}
+
+
+def latex_table(table: pandas.DataFrame, caption: str, label: str) -> str:
+    """Format a table in LaTeX: words and units as headings, means with their standard deviations, the best values bold.
+
+    Args:
+        caption: plain text.
+        label: LaTeX label of the table; underscores become hyphens.
+    """
+    names, texts = headings.columns(table), headings.texts(table)
+    bold = {text: headings.best(table, name) for text, name in zip(texts, names, strict=True)}
+    style = texts.style.hide(axis="index").format(escape="latex").format_index(escape="latex", axis="columns")
+    style = style.apply(lambda column: ["textbf:--rwrap;" if best else "" for best in bold[str(column.name)]])
+    latex = style.to_latex(
+        column_format="".join("r" if headings.is_number(table[name]) else "l" for name in names),
+        hrules=True,
+        position_float="centering",
+        caption=re.sub(r"[&%$#_{}]", r"\\\g<0>", caption),
+        label=label.replace("_", "-"),
+    )
+    return "% Needs \\usepackage{booktabs}.\n" + latex

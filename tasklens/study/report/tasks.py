@@ -7,6 +7,7 @@ import pandas
 
 from tasklens.runtime.files import read_table
 from tasklens.show import figures
+from tasklens.show.panel import Panel
 from tasklens.show.publish import publish
 from tasklens.study.task_jobs import TaskContents, TaskKey
 
@@ -61,5 +62,5 @@ def make(
     """
     rows = collect(dict(zip(settings.score_keys, metrics, strict=True)))
     publish(csv, md, "Other tasks", rows, _NOTE.format(study=settings.study))
-    panels = [figures.panel(*arguments) for arguments in zip(settings.drawn, lenses, psfs, strict=True)]
+    panels = [Panel.read(*arguments) for arguments in zip(settings.drawn, lenses, psfs, strict=True)]
     figures.compare_psfs(figure, panels)

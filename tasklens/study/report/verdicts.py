@@ -25,8 +25,7 @@ from tasklens.show import between_fields, bootstrap, predictions
 from tasklens.show.publish import publish
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.report import answers_file
-from tasklens.study.report.failure import LEAST_ENERGY, least_accuracy
-from tasklens.study.report.measurements import Measurements
+from tasklens.study.report.measurements import LEAST_ENERGY, Measurements, least_accuracy
 
 LEAST_SEEDS = 5  # with three, t(2) = 4.30 makes intervals too wide
 HOLDS, FAILS, UNDECIDED, SUGGESTS = "holds", "does not hold", "undecided", "suggests"

@@ -39,7 +39,7 @@ class Change:
             return f"{self.key}: added"
         if isinstance(self.old, dict) and self.new is None:
             return f"{self.key}: removed"
-        return f"{self.key}: {_shown(self.old)} -> {_shown(self.new)}"
+        return f"{self.key}: {_shorten(self.old)} -> {_shorten(self.new)}"
 
 
 def in_one_line(value: Any) -> str:
@@ -47,7 +47,7 @@ def in_one_line(value: Any) -> str:
     return yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1e9).removesuffix("\n...\n").strip()
 
 
-def _shown(value: Any) -> str:
+def _shorten(value: Any) -> str:
     text = in_one_line(value)
     return text if len(text) <= 60 else f"{text[:57]}..."
 

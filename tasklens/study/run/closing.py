@@ -4,8 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from tasklens.runtime.files import read_table
-from tasklens.study.loading import at_points
-from tasklens.study.parts import whole_study_name
+from tasklens.study.loading import at_points, whole_study_name
 from tasklens.study.report.page import words
 from tasklens.study.report.verdicts import LEAST_SEEDS
 from tasklens.study.report_jobs import ReportJob

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from tasklens.runtime.errors import InputError
-from tasklens.study.parts import whole_study_name
+from tasklens.study.loading import whole_study_name
 from tasklens.study.run.changes import PlannedJob
 from tasklens.study.run.digest import SNAKEFILE
 from tasklens.study.run.forecast import Durations

@@ -74,7 +74,7 @@ def lens_paths(places: Sequence[Path]) -> list[Path]:
     return list(dict.fromkeys(files))
 
 
-def unread() -> Screened:
+def placeholder() -> Screened:
     """Return a published lens in place of those to be read, to check a study before they are."""
     return Screened(
         {ELEMENTS: {"elements": ELEMENTS, "file": _SHIPPED, "focus": "file"}}, {ELEMENTS: ELEMENTS}, {ELEMENTS: 0.0}

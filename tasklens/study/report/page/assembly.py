@@ -1,22 +1,24 @@
 """Assembly of the page from the files of a study; the answer in words comes first."""
 
-from collections.abc import Iterable, Mapping
+import math
+import os
+import platform
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import Any
 
 import pandas
-from jinja2 import Environment, PackageLoader, StrictUndefined
 from plotly.offline import get_plotlyjs
 
-from tasklens.runtime import yaml_files
-from tasklens.runtime.files import FileError, damaged, read_table, write_text
+from tasklens.runtime.benchmarks import benchmarks
+from tasklens.runtime.files import FileError, damaged, read_json, read_table, read_yaml, write_text
 from tasklens.show import pictures
 from tasklens.show.headings import STD
-from tasklens.show.optimality import Optimum, optimum
+from tasklens.show.optimality import optimum
 from tasklens.study.report import answer as answer_figure
-from tasklens.study.report.page import captures, charts, gallery, machine, tables, words
-from tasklens.study.report.page.page_files import PageFiles, RuleFiles
+from tasklens.study.report.page import captures, charts, gallery, tables, words
 from tasklens.study.report_jobs import ReportJob
 
 LARGEST_MB = 15.0
@@ -36,29 +38,72 @@ _CAPTIONS = {
 _SPREAD = " ± is the standard deviation over seeds."
 
 
-def make(settings: ReportJob, inputs: RuleFiles, report: Path, answer: Path) -> None:
+@dataclass(frozen=True)
+class PageFiles:
+    """Input files of a page, as the rule names them.
+
+    Attributes:
+        table_files, seeds_files, provenance: tables, their rows by seed, and facts about the machine.
+        histories, restorations: histories of each lens, and of the restoration networks.
+        optional, drawn: tables and figures that are shown if they exist.
+        benchmarks: folder of Snakemake's benchmarks.
+    """
+
+    table_files: Sequence[Path]
+    seeds_files: Sequence[Path]
+    provenance: Sequence[Path]
+    verdicts: Path
+    psf_tail: Path
+    effort: Path
+    histories: Sequence[Path]
+    restorations: Sequence[Path]
+    capture_file: Path
+    answers: Path
+    optional: Sequence[Path]
+    drawn: Sequence[Path]
+    benchmarks: Path
+
+
+def make(settings: ReportJob, files: PageFiles, lens_files: gallery.LensFiles, report: Path, answer: Path) -> None:
     """Write the page, and the figure of its answer.
 
     Raises:
         FileError: the page is larger than 15 MB.
     """
-    files = PageFiles.of(settings, inputs)
-    _draw_answer(answer, settings, files)
-    page = render(settings, files, answer)
+    by_seed = {name: read_table(path) for name, path in zip(settings.tables, files.seeds_files, strict=True)}
+    _draw_answer(answer, settings, next(iter(by_seed.items())), read_table(files.verdicts))
+    page = render(settings, files, lens_files, by_seed, answer)
     size_mb = len(page.encode()) / 1e6
     if size_mb > LARGEST_MB:
         raise FileError(f"{report}: would have {size_mb:.1f} MB, more than {LARGEST_MB:.0f}: show fewer lenses")
     write_text(report, page)
 
 
-def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
-    """Return the page as HTML; `answer` is the figure of its answer."""
-    frames = {name: read_table(path) for name, path in {**files.tables, **files.others, **files.optional}.items()}
-    _check_tails(settings, files, frames)
+def render(
+    settings: ReportJob,
+    files: PageFiles,
+    lens_files: gallery.LensFiles,
+    by_seed: Mapping[str, pandas.DataFrame],
+    answer: Path,
+) -> str:
+    """Return the page as HTML.
+
+    Args:
+        by_seed: rows of the tables by seed.
+        answer: the figure of the answer.
+    """
+    optional = {table_name(path): path for path in files.optional}
+    paths = dict(zip(settings.tables, files.table_files, strict=True))
+    paths |= {"verdicts": files.verdicts, "psf_tail": files.psf_tail, "effort": files.effort}
+    paths |= {name: path for name, path in optional.items() if path.exists()}
+    frames = {name: read_table(path) for name, path in paths.items()}
+    if missing := set(settings.elements) - set(frames["psf_tail"]["lens"]):
+        raise damaged(files.psf_tail, f"without {', '.join(sorted(missing))}")
+    lenses = dict(zip(settings.elements, lens_files.lenses, strict=True))
     table1 = frames.get("table1")
-    by_seed = {name: read_table(path) for name, path in files.by_seed.items()}
     elements = dict.fromkeys(settings.elements.values())
-    time = machine.durations(files.benchmarks)
+    time = durations(files.benchmarks)
+    optima = {lens: optimum(read_yaml(lenses[lens])) for lens in settings.with_optimum}
     sections: dict[str, Any] = {
         "study": settings.study,
         "seeds": settings.seeds,
@@ -70,60 +115,44 @@ def render(settings: ReportJob, files: PageFiles, answer: Path) -> str:
         "names": settings.descriptions,
         "answers": words.answers(frames["verdicts"], elements, settings.questions, settings.margins),
         "best": {} if table1 is None else words.best_lenses(table1, settings.by_task),
-        "convergence": words.convergence(_optima(settings, files)),
-        "optional": [name for name in files.optional_names if name not in frames],
+        "convergence": words.convergence({lens: test for lens, test in optima.items() if test is not None}),
+        "optional": [name for name in optional if name not in frames],
         "tables": [_table(name, frames[name]) for name in settings.tables],
         "verdicts": _table("verdicts", frames["verdicts"]),
         "more": [_table(name, frames[name]) for name in ("psf_tail", "effort")],
         "further": [
-            _table(name, frames[name], _of_earlier_lenses(path, files)) for name, path in files.optional.items()
+            _table(name, frames[name], _of_earlier_lenses(path, lenses))
+            for name, path in optional.items()
+            if name in frames
         ],
-        "drawn": {name: pictures.link(path) for name, path in files.drawn.items()},
-        "accuracy": None if table1 is None else charts.accuracy_over_rms(table1),
-        "by_field": _by_radius(settings, elements, by_seed),
-        "comparisons": _comparisons(frames),
-        "gallery": gallery.entries(settings, files, by_seed.get("table1")),
-        "captures": captures.read(files.captures, files.answers, settings.supervisor),
+        "drawn": {path.stem: pictures.link(path) for path in files.drawn if path.exists()},
+        "charts": _charts(settings, elements, frames, by_seed.get("table1")),
+        "gallery": gallery.entries(settings, lens_files, by_seed.get("table1")),
+        "captures": captures.read(files.capture_file, files.answers, settings.supervisor),
         "histories": _histories(settings, files),
         "time": tables.build("time", "Time and memory of each kind of job", time) if len(time) else None,
-        "machine": machine.facts(files.provenance),
+        "machine": machine(files.provenance),
         "configuration": settings.configuration,
         "configuration_link": pictures.of_text(settings.configuration),
     }
     script = (resources.files(__package__) / "page.js").read_text(encoding="utf-8")
-    environment = Environment(
-        loader=PackageLoader(__package__, "."), autoescape=True, undefined=StrictUndefined, trim_blocks=True
-    )
-    return environment.get_template("page.html").render(
-        sections, plotly=get_plotlyjs(), css=pictures.style_sheet(), js=script
-    )
+    return pictures.render(__package__, "page.html", **sections, plotly=get_plotlyjs(), js=script)
 
 
-def _draw_answer(path: Path, settings: ReportJob, files: PageFiles) -> None:
+def _draw_answer(
+    path: Path, settings: ReportJob, first_table: tuple[str, pandas.DataFrame], verdicts: pandas.DataFrame
+) -> None:
     """Draw the main comparisons and the accuracies of the study's first table, by its supervisor."""
-    table, by_seed = next(iter(files.by_seed.items()))
-    rows, verdicts = read_table(by_seed), read_table(files.others["verdicts"])
+    table, rows = first_table
     lenses = rows[(rows["elements"] != "") & (rows["classifier"] == settings.supervisor)]
     main = verdicts[verdicts["claim"].isin(settings.questions) & (verdicts["table"] == table)]
     main = main[main["classifier"].str.split("-").str[0] == settings.supervisor]  # also restored
     answer_figure.draw(path, main, lenses, settings.by_task, float(lenses["reference_accuracy"].mean()))
 
 
-def _check_tails(settings: ReportJob, files: PageFiles, frames: Mapping[str, pandas.DataFrame]) -> None:
-    """Raise FileError if a lens is missing from the table of tails."""
-    if missing := set(settings.elements) - set(frames["psf_tail"]["lens"]):
-        raise damaged(files.others["psf_tail"], f"without {', '.join(sorted(missing))}")
-
-
-def _optima(settings: ReportJob, files: PageFiles) -> dict[str, Optimum]:
-    """Return the test for a local optimum of each lens that has one, for the first seed."""
-    tests = {lens: optimum(yaml_files.read(files.lenses[lens])) for lens in settings.with_optimum}
-    return {lens: test for lens, test in tests.items() if test is not None}
-
-
-def _of_earlier_lenses(path: Path, files: PageFiles) -> str:
+def _of_earlier_lenses(path: Path, lenses: Mapping[str, Path]) -> str:
     """Return a warning if an optional table is older than some lenses, since no target updates it; else ""."""
-    later = [lens for lens, file in files.lenses.items() if file.stat().st_mtime > path.stat().st_mtime]
+    later = [lens for lens, file in lenses.items() if file.stat().st_mtime > path.stat().st_mtime]
     return f" Older than these lenses, so maybe of earlier ones: {', '.join(later)}." if later else ""
 
 
@@ -133,60 +162,53 @@ def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
     return tables.build(name, caption, frame, spread + note)
 
 
-def _by_radius(
-    settings: ReportJob, elements: Iterable[str], by_seed: Mapping[str, pandas.DataFrame]
+def _charts(
+    settings: ReportJob,
+    elements: Iterable[str],
+    frames: Mapping[str, pandas.DataFrame],
+    by_seed: pandas.DataFrame | None,
 ) -> list[charts.Chart]:
-    """Return the charts of accuracy over the radius in table 1, one for each name of elements."""
-    if "table1" not in by_seed:
-        return []
-    radii = settings.radii, settings.design_radii
-    by_elements = [charts.accuracy_by_radius(name, by_seed["table1"], *radii) for name in elements]
-    return [chart for chart in by_elements if chart is not None]
+    """Return the charts of accuracies in table 1, over the RMS spot and the radius, and of further comparisons.
 
-
-def _comparisons(frames: Mapping[str, pandas.DataFrame]) -> list[charts.Chart]:
-    """Return the charts of differences: tolerances and ablations."""
-    comparisons: list[charts.Chart | None] = []
+    Args:
+        by_seed: rows of table 1 by seed, if the study has it.
+    """
+    drawn = [] if by_seed is None else [charts.accuracy_over_rms(frames["table1"])]
+    for name in () if by_seed is None else elements:
+        drawn.append(charts.accuracy_by_radius(name, by_seed, settings.radii, settings.design_radii))
     if "tolerances_compared" in frames and len(losses := frames["tolerances_compared"]):
         labels = [f"{row['lens']} − {row['baseline']}" for row in losses.to_dict("records")]
-        comparisons.append(
-            charts.differences("tolerances", "What is lost in manufacture, task less image", losses, labels)
-        )
+        drawn.append(charts.differences("tolerances", "What is lost in manufacture, task less image", losses, labels))
     ablations = [frame for name, frame in frames.items() if name.startswith("ablation_")]
     if ablations:
         variants = pandas.concat(ablations).dropna(subset=["difference"])
-        comparisons.append(
-            charts.differences("ablations", "Ablations: variant less base", variants, variants["lens"].tolist())
-        )
-    return [chart for chart in comparisons if chart is not None]
+        title = "Ablations: variant less base"
+        drawn.append(charts.differences("ablations", title, variants, variants["lens"].tolist()))
+    return [chart for chart in drawn if chart is not None]
 
 
 def _histories(settings: ReportJob, files: PageFiles) -> list[charts.Chart]:
     """Return the charts of the design histories, by elements, and of the training of the restoration networks."""
-    history_charts = []
+    histories = dict(zip(settings.elements, map(_read, files.histories), strict=True))
+    drawn = []
     for elements in dict.fromkeys(settings.elements.values()):
-        lenses = [lens for lens, lens_elements in settings.elements.items() if lens_elements == elements]
-        runs = {lens: _last_part(_read(files.histories[lens])) for lens in lenses}
-        description = f"RMS spot radius during the last stage of the design of each {elements}. {_ends(runs, 'rms_um')}"
+        runs = {lens: _last_part(run) for lens, run in histories.items() if settings.elements[lens] == elements}
+        description = f"RMS spot radius during the last stage of the design of each {elements}."
         title = f"Design of each {elements}: RMS spot"
-        history_charts.append(
-            charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, description, True)
-        )
+        drawn.append(charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, description, True))
         runs = {lens: run for lens, run in runs.items() if lens in settings.by_classifier}
         description = (
             f"Loss of the classifier on fixed images during the design of each {elements}. The lens with the smallest "
-            f"loss is kept. {_ends(runs, 'validation_loss')}"
+            "loss is kept."
         )
         title = f"Design of each {elements}: loss of the classifier"
-        history_charts.append(
-            charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, description, False)
-        )
-    runs = {lens: _read(path) for lens, path in files.restorations.items()}
-    description = f"PSNR on minival images during the training of the restoration networks. {_ends(runs, 'psnr_db')}"
-    history_charts.append(
+        drawn.append(charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, description, False))
+    runs = dict(zip(settings.restored, map(_read, files.restorations), strict=True))
+    description = "PSNR on minival images during the training of the restoration networks."
+    drawn.append(
         charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, description, False)
     )
-    return [chart for chart in history_charts if chart is not None]
+    return [chart for chart in drawn if chart is not None]
 
 
 def _read(path: Path) -> pandas.DataFrame:
@@ -201,8 +223,43 @@ def _last_part(history: pandas.DataFrame) -> pandas.DataFrame:
     return history.assign(rms_um=history["rms_um"].cummin()) if "start" in history else history
 
 
-def _ends(runs: Mapping[str, pandas.DataFrame], column: str) -> str:
-    """List the last value of each run in a sentence."""
-    ends = {name: run[column].dropna() for name, run in runs.items() if column in run}
-    listing = "; ".join(f"{name} {values.iloc[-1]:.4g}" for name, values in ends.items() if len(values))
-    return f"Last values: {listing}." if listing else ""
+def durations(folder: Path) -> pandas.DataFrame:
+    """Return a row per kind of job from Snakemake's benchmark files: jobs, time [min], longest job, memory [MB]."""
+    rows = [
+        {"job": rule.replace("_", " "), "minutes": job.seconds / 60, "memory_mb": job.memory_mb or math.nan}
+        for rule, job in benchmarks(folder)
+    ]
+    if not rows:
+        return pandas.DataFrame()
+    jobs = pandas.DataFrame(rows).groupby("job")
+    table = pandas.DataFrame(
+        {
+            "jobs": jobs.size(),
+            "total_min": jobs["minutes"].sum(),
+            "mean_min": jobs["minutes"].mean(),
+            "longest_min": jobs["minutes"].max(),
+            "memory_mb": jobs["memory_mb"].max(),
+        }
+    )
+    return table.sort_values("total_min", ascending=False).reset_index()
+
+
+def machine(provenance: Sequence[Path]) -> list[tuple[str, str]]:
+    """Return facts about the machine that makes the page, and commits and versions that made the tables."""
+    entries = [
+        ("machine", f"{platform.machine()}, {os.cpu_count()} cores, {platform.system()}"),
+        ("Python", platform.python_version()),
+    ]
+    contents = [read_json(path) for path in provenance]
+    commits = dict.fromkeys(content["commit"] for content in contents)
+    versions: dict[str, dict[str, None]] = {}
+    for content in contents:
+        for package, version in content["versions"].items():
+            versions.setdefault(package, {})[version] = None
+    entries += [("commit of the tables", ", ".join(commits))] if commits else []
+    return entries + [(package, ", ".join(numbers)) for package, numbers in versions.items()]
+
+
+def table_name(table: Path) -> str:
+    """Return the name of a table from that of its file."""
+    return table.stem.replace(".", "_")

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-import numpy
 import pandas
 from safetensors.numpy import load_file
 
@@ -13,23 +13,13 @@ from tasklens.show import pictures
 
 
 @dataclass(frozen=True)
-class Answer:
-    """The answer of a network: its name, the class, the probability of the class [%], and whether it is right."""
-
-    classifier: str
-    answer: str
-    probability: float
-    right: bool
-
-
-@dataclass(frozen=True)
 class Tile:
-    """A capture at a field: data URI, text alternative, field, answers."""
+    """A capture at a field: data URI, text alternative, field, and a row for the answer of each network."""
 
     link: str
     alternative: str
     field: str
-    answers: list[Answer]
+    answers: list[dict[Any, Any]]
 
 
 @dataclass(frozen=True)
@@ -47,6 +37,7 @@ def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[Image
     arrays = load_file(captures_file)
     texts = dict.fromkeys(("label", "answer", "lens", "classifier", "field"), str)
     answers = read_table(answers_file, keep_default_na=False, dtype=texts)
+    answers["right"] = answers["answer"] == answers["label"]
     images = answers[["image", "label"]].drop_duplicates().to_numpy().tolist()  # in the order of the arrays
     answers = answers.sort_values("classifier", key=lambda names: names != supervisor, kind="stable")
     entries = []
@@ -55,7 +46,7 @@ def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[Image
         for (lens, restored), rows in answers[answers["image"] == image].groupby(["lens", "restored"], sort=False):
             array = arrays[measured(str(lens), bool(restored))][position]
             captures[str(lens), bool(restored)] = [
-                _tile(array[k], str(lens), str(field), label, of_field)
+                Tile(pictures.of_array(array[k]), _alternative(of_field), str(field), of_field.to_dict("records"))
                 for k, (field, of_field) in enumerate(rows.groupby("field", sort=False))
             ]
         (sharp,) = captures.pop((SHARP, False))
@@ -63,11 +54,8 @@ def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[Image
     return entries
 
 
-def _tile(array: numpy.ndarray, lens: str, field: str, label: str, rows: pandas.DataFrame) -> Tile:
-    answers = [
-        Answer(row["classifier"], row["answer"], float(row["probability"]), row["answer"] == label)
-        for row in rows.to_dict("records")
-    ]
-    text = "; ".join(f"{answer.classifier} answers {answer.answer}" for answer in answers)
+def _alternative(rows: pandas.DataFrame) -> str:
+    """Describe a capture and the answers in its rows."""
+    label, lens, field = rows[["label", "lens", "field"]].iloc[0]
     place = f"{label} through {lens}, {field}" if field else f"{label}, sharp"
-    return Tile(pictures.of_array(array), f"{place}. {text}", field, answers)
+    return f"{place}. {'; '.join(rows['classifier'] + ' answers ' + rows['answer'])}"

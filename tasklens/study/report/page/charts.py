@@ -42,6 +42,11 @@ def _chart(key: str, title: str, words: str, figure: go.Figure, height: int, **l
     return Chart(key, title, words, text.replace("<", "\\u003c"))  # the JSON is inside a script element
 
 
+def _line(k: int) -> dict[str, Any]:
+    """Return the style of the line number `k` of a chart."""
+    return {"width": 1.5, "color": COLOURS[k % len(COLOURS)], "dash": _DASHES[k // len(COLOURS) % len(_DASHES)]}
+
+
 def colour_of(names: Sequence[str], name: str) -> str:
     """Return the colour of a name among all names."""
     return COLOURS[list(names).index(name) % len(COLOURS)]
@@ -118,7 +123,7 @@ def accuracy_by_radius(
             y=values.round(2).tolist(),
             mode="lines+markers",
             name=str(design),
-            line={"width": 1.5, "color": COLOURS[k % len(COLOURS)], "dash": _DASHES[k // len(COLOURS) % len(_DASHES)]},
+            line=_line(k),
         )
     corner = "; ".join(f"{design} {value:.1f}" for design, value in means[fields[-1]].items())
     words = f"Accuracy [%] over the distance from the axis; 1 is the corner of the sensor. Farthest out: {corner}."
@@ -165,25 +170,29 @@ def differences(key: str, title: str, table: pandas.DataFrame, labels: Sequence[
 def histories(
     key: str, title: str, column: str, unit: str, runs: Mapping[str, pandas.DataFrame], words: str, log: bool
 ) -> Chart | None:
-    """Chart a column of the histories of several runs against the share of the run; None if no run has the column."""
-    figure = go.Figure()
+    """Chart a column of the histories of several runs against the share of the run; None if no run has the column.
+
+    The description ends with the last value of each run.
+    """
+    figure, ends = go.Figure(), []
     for k, (name, history) in enumerate(runs.items()):
         if column not in history:
             continue
-        values = pandas.to_numeric(history[column], errors="coerce")
-        valid = values.dropna()
+        valid = pandas.to_numeric(history[column], errors="coerce").dropna()
         if valid.empty:
             continue
+        ends.append(f"{name} {valid.iloc[-1]:.4g}")
         sample = valid.iloc[:: max(1, len(valid) // _POINTS)]
         figure.add_scatter(
             x=(sample.index.to_numpy() + 1) / len(history),
             y=sample.round(5),
             mode="lines",
             name=name,
-            line={"width": 1.5, "color": COLOURS[k % len(COLOURS)], "dash": _DASHES[k // len(COLOURS) % len(_DASHES)]},
+            line=_line(k),
         )
-    if not figure.data:
+    if not ends:
         return None
+    words += f" Last values: {'; '.join(ends)}."
     axes = {
         "xaxis": {"title": {"text": "share of the last part"}, "tickformat": ".0%", "range": [0, 1]},
         "yaxis": {"title": {"text": unit}} | ({"type": "log", "tickvals": _TICKS} if log else {}),

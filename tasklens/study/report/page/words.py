@@ -68,7 +68,7 @@ def _claims(counted: Iterable["Tally"]) -> Sentence | None:
     if outcomes.total() == 1:
         return Sentence(f"The one claim of the paper that is tested here is {words[next(iter(outcomes))]}.")
     parts = [f"{outcomes[key]} {'is' if outcomes[key] == 1 else 'are'} {words[key]}" for key in words if outcomes[key]]
-    return Sentence(f"Of the paper's {outcomes.total()} claims tested here, {_listed(parts)}.") if parts else None
+    return Sentence(f"Of the paper's {outcomes.total()} claims tested here, {_join(parts)}.") if parts else None
 
 
 def _gains(verdicts: pandas.DataFrame, settings: ReportJob) -> Sentence | None:
@@ -193,7 +193,7 @@ def convergence(optima: Mapping[str, Optimum]) -> list[Sentence]:
     sentences = []
     if optimal:
         text = "No small step within the limits lowers the loss by more than two standard errors plus 0.002"
-        sentences.append(Sentence(f"Converged: {_listed(optimal)}. {text}.", FOR))
+        sentences.append(Sentence(f"Converged: {_join(optimal)}. {text}.", FOR))
     for lens, optimum in optima.items():
         if not optimum.reached:
             text = f"Not converged: a step of {optimum.step_um:g} um within the limits lowers the loss of {lens} by"
@@ -201,5 +201,5 @@ def convergence(optima: Mapping[str, Optimum]) -> list[Sentence]:
     return sentences
 
 
-def _listed(parts: list[str]) -> str:
+def _join(parts: list[str]) -> str:
     return " and ".join(filter(None, [", ".join(parts[:-1]), *parts[-1:]]))
