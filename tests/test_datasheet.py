@@ -15,8 +15,7 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
 from tasklens.optics.analysis.tail import tail
-from tasklens.optics.analysis.wavefront import wavefront
-from tasklens.optics.analysis.zernike import rms_wavefront_error
+from tasklens.optics.analysis.wavefront import rms_wavefront_error, wavefront
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError

@@ -20,7 +20,6 @@ from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.analysis.wavefront import wavefront
-from tasklens.optics.analysis.zernike import zernike_coefficients
 from tasklens.optics.io import zemax
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
@@ -127,21 +126,6 @@ def test_wavefronts_of_random_aspheres(seed):
     """Dozens of waves."""
     view = View(f64([[0, 0], [-0.1, 0.2], [0.2, -0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
     assert_same_wavefronts(asphere_behind_a_stop(seed), view)
-
-
-def test_zernike_coefficients():
-    """Noll's, by least squares over the same rays."""
-    from optiland.wavefront import ZernikeOPD
-
-    lens, view = asphere_behind_a_stop(0), View(f64([[0.0, 0.0], [0.1, 0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
-    optic, fields = OPTILAND.in_optiland(lens, view)
-    for f, field in enumerate(map(tuple, fields)):
-        for w, wavelength in enumerate(view.wavelengths_um):
-            theirs = ZernikeOPD(optic, field, wavelength, 12, "noll", 28)
-            pupil = torch.stack([f64(theirs.distribution.x), f64(theirs.distribution.y)], -1)
-            ours = zernike_coefficients(wavefront(lens, view, pupil).opd[f, w], pupil, 28)
-            torch.testing.assert_close(ours, f64(theirs.coeffs), rtol=0, atol=1e-6)
-            assert float(ours[3:].abs().max()) > 1
 
 
 @pytest.mark.parametrize("degrees", [0.0, 10.0, 20.0])

@@ -20,8 +20,7 @@ from tasklens.optics.analysis.spots import (
     rms_spot_radius,
     trace_fields,
 )
-from tasklens.optics.analysis.wavefront import wavefront
-from tasklens.optics.analysis.zernike import rms_wavefront_error
+from tasklens.optics.analysis.wavefront import rms_wavefront_error, wavefront
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import passing
 from tasklens.optics.view import View

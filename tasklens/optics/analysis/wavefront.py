@@ -1,4 +1,4 @@
-"""The wavefront at the exit pupil: optical path differences from a reference sphere.
+"""The wavefront at the exit pupil: optical path differences from a reference sphere, and their RMS.
 
 Conventions:
 
@@ -24,6 +24,7 @@ from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of the chief ray
+_WEAKEST = 1e-8  # smallest ratio of the least to the largest eigenvalue of normal equations that can be solved
 
 
 @dataclass(frozen=True)
@@ -102,3 +103,27 @@ def _to_sphere(rays: Rays, centre: Tensor, curvature: Tensor) -> tuple[Tensor, T
     beyond = along + curvature * q / (1 + root)
     scaled = curvature * along + root  # c t
     return beyond, torch.stack([scaled * rays.l - curvature * dx, scaled * rays.m - curvature * dy], -1), meets
+
+
+def rms_wavefront_error(opd: Tensor, pupil: Tensor) -> Tensor:
+    """Compute the RMS (...) over the valid points without piston and tilt, relative to the best-fitting image point.
+
+    Piston and tilt are fitted to the valid points by least squares. Differentiable in `opd`.
+
+    Args:
+        opd: (..., N) optical path differences, as from `wavefront`; NaN where a ray is lost.
+        pupil: (N, 2) points of the unit disc, of equal weight.
+
+    Returns:
+        The RMS in the unit of `opd`; NaN if the valid points do not determine piston and tilt.
+    """
+    x, y = pupil.to(opd.dtype).unbind(-1)
+    terms, valid = torch.stack([torch.ones_like(x), 2 * x, 2 * y], -1), ~opd.isnan()
+    path = torch.where(valid, opd, 0.0)
+    normal = torch.einsum("...p,pj,pk->...jk", valid.to(opd.dtype), terms, terms)
+    strength = torch.linalg.eigvalsh(normal)
+    determined = strength[..., 0] > _WEAKEST * strength[..., -1]
+    normal = torch.where(determined[..., None, None], normal, torch.eye(3, dtype=opd.dtype))
+    coefficients = torch.linalg.solve(normal, (path @ terms)[..., None])[..., 0]
+    squared = torch.where(valid, path - coefficients @ terms.mT, 0.0).square().sum(-1)
+    return torch.where(determined, torch.sqrt(squared / valid.sum(-1).clamp(min=1)), torch.nan)
