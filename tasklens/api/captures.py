@@ -15,7 +15,7 @@ from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View
-from tasklens.recognition.image_tensor import Image, image_tensor
+from tasklens.recognition.user_images import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import as_tensor, explained
 from tasklens.settings.capture_settings import SensorSettings

@@ -7,8 +7,7 @@ from typing import Any, Unpack
 
 from torch import nn
 
-from tasklens.design.request import LensRequest, Specification
-from tasklens.design.single import designs
+from tasklens.design.single import LensRequest, Specification, designs
 from tasklens.design.supervision import Loss
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View

@@ -8,8 +8,7 @@ from pathlib import Path
 import torch
 
 from tasklens.api.captures import check_light
-from tasklens.camera.imaging import PsfCamera, check_capture
-from tasklens.camera.sensor import noise
+from tasklens.camera.imaging import PsfCamera, check_capture, noise
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens

@@ -11,18 +11,18 @@ from torch import Tensor, nn
 
 from tasklens.design import descents, least_squares
 from tasklens.design.constraints import limit_margins, smallest_margins, worst_margin
-from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
-from tasklens.design.network_focus import focused_by_network
+from tasklens.design.criteria import Contrast, Correlation, ImageError, JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.objective import Criterion, Objective
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.variables import with_coefficients
 from tasklens.optics.analysis.datasheet import figures, means
-from tasklens.optics.analysis.focus import refocus
+from tasklens.optics.analysis.focus import move_image_plane, refocus
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
-from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
 from tasklens.optics.io import imported
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
@@ -39,6 +39,12 @@ _APERTURE = 1.02  # clear semi-diameter / illuminated radius, of an imported len
 
 Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], mean or worst field, by name
 Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
+# Focus of an imported lens by a network
+_FOCUS_IMAGES = slice(24)  # training images in fixed order, each at all fields of the validation
+_FOCUS_BATCH = 36
+_COARSE = (6, 1.0)  # planes on each side of the best one, and the blur that defocus adds to the next [pixels]
+_FINE = (3, 0.25)
+_ROUNDS = 4  # coarse searches after the first, while the best plane is the outermost
 
 
 def design(
@@ -141,9 +147,35 @@ def _imported(
     return with_notes(focused, _APERTURE * radii, plan, origin)
 
 
+def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
+    """Move the image plane of a lens to the least loss of a network on training images.
+
+    The search begins at the peak of the MTF, moves on while the best plane is the outermost, and ends with finer steps.
+    """
+    objective = Objective(loss, problem, None, False, _FOCUS_BATCH, "chief_ray")
+    start = refocus(lens, problem.view)
+    pixel = float(paraxial(lens.detached(), problem.view.reference_um).f_number) * 1e-3 * problem.view.pixel_pitch_um
+    losses: dict[float, float] = {}
+
+    def best_plane(centre: float, planes: int, blur: float) -> float:
+        """Return the shift of the least loss so far [mm], after planes around one."""
+        for k in range(-planes, planes + 1):
+            shift = round(centre + k * blur * pixel, 9)
+            if shift not in losses:
+                losses[shift] = float(objective.fixed_losses(move_image_plane(start, shift), 1.0, _FOCUS_IMAGES).mean())
+        return min(losses, key=lambda shift: losses[shift])
+
+    best = best_plane(0.0, *_COARSE)
+    for _ in range(_ROUNDS):
+        if min(losses) < best < max(losses):
+            break
+        best = best_plane(best, *_COARSE)
+    return move_image_plane(start, best_plane(best, *_FINE))
+
+
 def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:
     """Return a starting lens: with all coefficients of a design, and open apertures unless they are kept."""
-    return with_coefficients(lens if keep_apertures else with_open_apertures(lens))
+    return with_coefficients(lens if keep_apertures else lens.with_open_apertures())
 
 
 def with_notes(
@@ -157,7 +189,7 @@ def with_notes(
     view = view_of_spec(plan.spec)
     margins = limit_margins(lens, plan.constraints, view, torch.minimum(radii, lens.semi_diameter))
     name, value = worst_margin(margins)
-    lens = lens if keep_apertures else with_clear_apertures(lens, radii)
+    lens = lens if keep_apertures else lens.with_clear_apertures(radii)
     notes = {
         "spec": plan.spec.model_dump(mode="json"),
         "origin": origin,

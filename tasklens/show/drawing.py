@@ -6,7 +6,6 @@ from matplotlib.figure import Figure
 
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.spots import evaluation_psf, lit_semi_diameters
-from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.show.figures import Panel, figure_of, panel_of
@@ -25,5 +24,5 @@ def _panel(title: str, lens: Lens, view: View, rays: int) -> Panel:
     psf = evaluation_psf(lens, view.in_colours(), rays).float()
     lens_figures = figures(lens, view, rays)
     view = view if len(view.wavelengths_um) < _COLOURS else view.in_colours()
-    lens = with_clear_apertures(lens, _RIM * lit_semi_diameters(lens, view))
+    lens = lens.with_clear_apertures(_RIM * lit_semi_diameters(lens, view))
     return panel_of(title, lens, view, psf, lens_figures)
