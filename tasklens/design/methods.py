@@ -137,7 +137,7 @@ def _imported(
     if by == "network":
         assert classifier is not None and problem.dataset is not None  # inputs of the job unless the focus needs none
         network = frozen(classifier, problem.dataset.images, "stored")
-        focused = focused_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
+        focused = _refocus_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
     elif by != "file":
         focused = refocus(lens, problem.view, by)
     origin = {"design": plan.entry.design_name, "method": "file"} | details
@@ -147,7 +147,7 @@ def _imported(
     return with_notes(focused, _APERTURE * radii, plan, origin)
 
 
-def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
+def _refocus_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
     """Move the image plane of a lens to the least loss of a network on training images.
 
     The search begins at the peak of the MTF, moves on while the best plane is the outermost, and ends with finer steps.
