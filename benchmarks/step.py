@@ -21,8 +21,8 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from tasklens.design import least_squares
 from tasklens.design.constraints import penalty
-from tasklens.design.criteria import CaptureCriterion, TaskLoss
-from tasklens.design.objective import Objective, loss_at_psf
+from tasklens.design.criteria import CaptureCriterion, TaskLoss, loss_at_psf
+from tasklens.design.objective import Objective
 from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat

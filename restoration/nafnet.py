@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from tasklens.runtime.devices import half_precision
 from tasklens.runtime.files import damaged, read_tensors
-from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.network_settings import RestorationSettings
 
 
 class SimpleGate(nn.Module):

@@ -13,7 +13,7 @@ from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.training import Shuffled, warmup_cosine
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
-from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.network_settings import RestorationSettings
 
 _VALIDATION_IMAGES = 64  # number of minival images, each at every field
 _WARMUP = 0.05  # fraction of the steps

@@ -15,9 +15,11 @@ from examples import difference
 
 import tasklens
 from tasklens.camera.imaging import PsfCamera
+from tasklens.design.single import Specification
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Melt
 from tasklens.runtime.errors import InputError
+from tasklens.settings.specification import Spec
 
 PUBLISHED = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 
@@ -448,3 +450,8 @@ def test_a_design_starts_from_a_lens_in_memory(tmp_path):
     first, _, _ = tasklens.design_lens("spot", start=(lens, view), settings=settings)
     second, _, _ = tasklens.design_lens("spot", start=tmp_path / "lens.yaml", settings=settings)
     assert torch.equal(first.curvature, second.curvature) and not torch.equal(first.curvature, lens.curvature)
+
+
+def test_keywords_of_a_design_are_keys_of_the_specification():
+    """Types cannot derive them."""
+    assert Specification.__annotations__.keys() == {*Spec.model_fields, "configuration"}

@@ -15,7 +15,7 @@ from tasklens.recognition.metrics import mean_metrics
 from tasklens.runtime import files
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError, read_table, read_yaml, write_tensors
-from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.network_settings import RestorationSettings
 from tasklens.show import predictions
 from tasklens.study.report.measurements import Measurements
 

@@ -12,14 +12,13 @@ from torch import nn
 
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design import methods
-from tasklens.design.criteria import ImageError, TaskLoss
+from tasklens.design.criteria import ImageError, TaskLoss, loss_at_psf
 from tasklens.design.descent import divergence
-from tasklens.design.objective import Objective, loss_at_psf
+from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.variables import Variables
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.psf import psf
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import LearningRates
@@ -212,7 +211,7 @@ def test_finished_lens_passes_its_light_and_tells_its_margins(start):
     assert notes["worst_margin"]["value"] == min(notes["margins"].values())
     assert len(notes["margins"]) == 9
     assert chief_points(lens, VIEW).isfinite().all()
-    reopened = with_open_apertures(lens)
+    reopened = lens.with_open_apertures()
     assert torch.equal(reopened.semi_diameter, start.semi_diameter)
 
 

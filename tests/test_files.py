@@ -110,14 +110,3 @@ def test_a_damaged_file_of_tensors_is_named(tmp_path, keep):
         files.FileError, match=r"t\.safetensors: not a complete file of tensors .*; delete it and run again"
     ):
         files.read_tensors(path)
-
-
-def test_an_unchanged_text_is_not_touched(tmp_path):
-    """Its modification time is what a workflow would look at."""
-    path = tmp_path / "study.yaml"
-    files.write_if_changed(path, "a")
-    os.utime(path, (1, 1))
-    files.write_if_changed(path, "a")
-    assert path.stat().st_mtime == 1
-    files.write_if_changed(path, "b")
-    assert path.stat().st_mtime > 1 and path.read_text() == "b"

@@ -22,8 +22,7 @@ from tasklens.recognition.classifiers import frozen
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.settings.design_settings import DescentSettings
-from tasklens.settings.network_settings import TrainingSettings
-from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.network_settings import RestorationSettings, TrainingSettings
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*CUDA is not available.*Disabling autocast")
 without_gpu = pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")

@@ -14,13 +14,11 @@ from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.criteria import SpotRadius
 from tasklens.design.merit import FIELD_HEIGHTS, VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
-from tasklens.design.random_starts import random_starts
-from tasklens.design.start import flat
+from tasklens.design.start import flat, random_starts
 from tasklens.design.variables import Variables
-from tasklens.optics.analysis import vignetting
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, trace_fields
+from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, smallest_aperture, trace_fields
 from tasklens.runtime.errors import InputError
 from tasklens.settings.design_settings import DescentSettings, LearningRates
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
@@ -51,7 +49,7 @@ def test_random_starts_do_not_depend_on_the_blocks_they_are_drawn_by(monkeypatch
     """Nor do later draws."""
     plates, draws = flat(PLASTICS, SPEC, LIMITS), []
     for block in (20_000, 64):
-        monkeypatch.setattr("tasklens.design.random_starts._BLOCK", block)
+        monkeypatch.setattr("tasklens.design.start._BLOCK", block)
         rng = numpy.random.default_rng(3)
         draws.append(([lens.curvature for lens in random_starts(plates, VIEW, LIMITS, 20, rng)], rng.random()))
     assert torch.equal(torch.stack(draws[0][0]), torch.stack(draws[1][0])) and draws[0][1] == draws[1][1]
@@ -193,9 +191,9 @@ def test_an_aperture_stops_what_it_may_and_nothing_on_the_axis():
     low = 0.5 * heights
     for axial, expected in ((torch.tensor([2.0]), 7), (torch.tensor([2.0, 8.0]), 8)):
         beams = torch.stack([low, heights])[:, None]
-        assert float(vignetting.smallest_aperture(beams, weight, axial, 0.3)) == expected
+        assert float(smallest_aperture(beams, weight, axial, 0.3)) == expected
     lost = heights.masked_fill(heights > 6, torch.inf)  # then nothing more may be stopped
-    assert math.isinf(vignetting.smallest_aperture(lost[None, None], weight, heights[:1], 0.3))
+    assert math.isinf(smallest_aperture(lost[None, None], weight, heights[:1], 0.3))
 
 
 def test_a_lens_that_may_vignette_makes_a_smaller_spot(search):

@@ -6,13 +6,13 @@ import time
 
 import pytest
 
-from tasklens.runtime import job_lock, locks
+from tasklens.runtime import locks
 
 CONTEXT = multiprocessing.get_context("fork")
 
 
 def job(folder, key: str, begun, go_on) -> None:
-    with job_lock.alone(folder / "job.lock", key, [folder / "output"]) as work:
+    with locks.alone(folder / "job.lock", key, [folder / "output"]) as work:
         begun.set()
         go_on.wait()
         if work:
@@ -40,7 +40,7 @@ def other(tmp_path, monkeypatch):
 
 
 def work_of(folder, key: str) -> bool:
-    with job_lock.alone(folder / "job.lock", key, [folder / "output"]) as work:
+    with locks.alone(folder / "job.lock", key, [folder / "output"]) as work:
         return work
 
 

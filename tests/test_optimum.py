@@ -10,10 +10,9 @@ from examples import by_descents, materials
 from tasklens.design.criteria import Contrast, ImageError, SpotRadius
 from tasklens.design.objective import Objective
 from tasklens.design.optimum import local_optimum
-from tasklens.design.ray_space import RaySpace, repair
+from tasklens.design.ray_space import RaySpace, as_saved
 from tasklens.design.start import flat
 from tasklens.fields import PAPER
-from tasklens.optics.apertures import with_clear_apertures
 from tasklens.settings.design_settings import DescentSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
@@ -40,7 +39,7 @@ class Bowl(SpotRadius):
 @pytest.fixture(scope="module")
 def feasible(spot_lens):
     """A lens inside all limits, with its clear apertures."""
-    return with_clear_apertures(*repair(spot_lens, VIEW, LIMITS))
+    return as_saved(spot_lens, VIEW, LIMITS)
 
 
 def examine(lens, target) -> Optimum:
@@ -73,7 +72,7 @@ def test_a_descent_that_was_cut_short_has_not_converged():
     for steps in (5, 250):
         part = DescentSettings(steps=steps, criterion="spot", pixels=(10, 1), duration=0.7, final=0.02)
         lens, _, _ = by_descents(plates, lambda part: SpotRadius(), posed, part, rays=64)
-        finished = with_clear_apertures(*repair(lens, VIEW, LIMITS))
+        finished = as_saved(lens, VIEW, LIMITS)
         gains.append(Optimum(**local_optimum(finished, objective, part)).gain)
     assert gains[0] > 0.002 and gains[1] < 0.02 * gains[0]  # [mm]
 

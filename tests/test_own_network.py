@@ -15,10 +15,8 @@ from torch.utils.data import DataLoader, Subset
 import tasklens
 from tasklens.api.design import verdict
 from tasklens.design import objective
-from tasklens.design.criteria import TaskLoss
-from tasklens.design.objective import loss_at_psf
-from tasklens.design.request import LensRequest
-from tasklens.design.single import BASELINES, designs
+from tasklens.design.criteria import TaskLoss, loss_at_psf
+from tasklens.design.single import BASELINES, LensRequest, designs
 from tasklens.design.supervision import UserTask
 from tasklens.recognition import classifiers, user_images
 from tasklens.recognition.classifiers import Classifier

@@ -14,8 +14,7 @@ import tasklens
 from tasklens.optics.analysis.aberrations import field_curvature
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import chief_points, ray_fans
-from tasklens.optics.lens import Lens
-from tasklens.optics.pose import Pose
+from tasklens.optics.lens import Lens, Pose
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.reference import reference_trace
 from tasklens.optics.tracing.trace import linearise, trace, trace_full

@@ -23,7 +23,6 @@ from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, as_save
 from tasklens.design.start import flat
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_rays, clear_semi_diameters, rms_spot_radius, trace_fields
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.io import prescription
 from tasklens.optics.view import view_of_spec
 from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
@@ -124,7 +123,7 @@ def test_a_lens_within_its_limits_stays_as_it_is(spot_lens):
 @pytest.mark.parametrize("limit", ["min_edge_thickness", "min_air_gap"])
 def test_a_sharp_lens_stays_sharp_while_it_is_repaired(limit):
     """Spots of 1.5 um grow by less than 0.1 um for 2 um of an edge or a gap, far less than the longest step."""
-    lens = with_open_apertures(prescription.read(Path(__file__).parent / "data" / "sharp_quadruplet.yaml")[0].lens)
+    lens = prescription.read(Path(__file__).parent / "data" / "sharp_quadruplet.yaml")[0].lens.with_open_apertures()
     view, limits = view_of_spec(Spec()), Constraints()
     margin = float(manufacturing_margins(lens, limits, clear_semi_diameters(lens, view))[limit].min())
     limits = limits.model_copy(update={limit: getattr(limits, limit) + margin + 0.002})
@@ -138,7 +137,7 @@ def test_a_sharp_lens_stays_sharp_while_it_is_repaired(limit):
 def test_distortion_is_repaired_between_the_heights_of_the_merit_function():
     """A triplet with 2.9 % at all heights of the merit function has 3.02 at a field in between; its spots stay."""
     file = Path(__file__).parent / "data" / "distorted_between_heights.yaml"
-    lens = with_open_apertures(prescription.read(file)[0].lens)
+    lens = prescription.read(file)[0].lens.with_open_apertures()
     view, limits = view_of_spec(Spec()), Constraints()
 
     def margin(lens) -> float:

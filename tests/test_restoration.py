@@ -8,7 +8,7 @@ from restoration import training
 from restoration.nafnet import NAFBlock, NAFNet, build
 from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.network_settings import RestorationSettings
 
 
 def small(seed: int = 0) -> NAFNet:

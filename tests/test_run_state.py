@@ -12,8 +12,7 @@ import pytest
 from examples import tiny_study, write
 
 from tasklens.cli.app import main
-from tasklens.runtime import progress_file
-from tasklens.runtime.progress import Progress
+from tasklens.runtime.progress import Progress, progress_file, read_progress
 from tasklens.study.loading import dump, parse
 from tasklens.study.run import closing, runs
 from tasklens.study.run.changes import PlannedJob
@@ -115,7 +114,7 @@ def test_a_running_job_says_how_far_it_is(place, monkeypatch):
     run = run_of(design=1)
     run.begin("design/0")
     assert run.describe("design/0", durations()) == "design 0  starting"
-    with progress_file.progress_file(FOLDER, "design/0"):
+    with progress_file(FOLDER, "design/0"):
         progress = Progress("descent 1, lens 1 of 2", 10)
         for step in range(1, 5):
             clock[0] += 20.0
@@ -131,10 +130,10 @@ def test_a_running_job_says_how_far_it_is(place, monkeypatch):
 
 def test_a_job_that_fails_leaves_no_progress(place, capsys):
     """Its log still has the progress lines."""
-    with pytest.raises(ZeroDivisionError), progress_file.progress_file(FOLDER, DESIGN):
+    with pytest.raises(ZeroDivisionError), progress_file(FOLDER, DESIGN):
         Progress("design", 2)(1, loss=0.5)
         raise ZeroDivisionError
-    assert progress_file.read(FOLDER, DESIGN) is None
+    assert read_progress(FOLDER, DESIGN) is None
     assert "design  step 1/2  loss 0.5" in capsys.readouterr().err
 
 

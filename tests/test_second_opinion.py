@@ -19,8 +19,7 @@ from tasklens.design.start import flat
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
-from tasklens.optics.analysis.wavefront import wavefront
-from tasklens.optics.analysis.zernike import zernike_coefficients
+from tasklens.optics.analysis.wavefront import path_differences
 from tasklens.optics.io import zemax
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
@@ -69,7 +68,7 @@ def test_a_finished_design():
 
 
 def assert_same_wavefronts(lens: Lens, view: View) -> None:
-    """Path differences within 1e-8 waves, points on the reference sphere, and its radius.
+    """Path differences within 1e-8 waves.
 
     Optiland centres the sphere where the chief ray of each wavelength meets the image plane, as we do, and takes the
     exit pupil at the primary wavelength. Its sphere is in front of the image even if the exit pupil is not: both
@@ -78,18 +77,14 @@ def assert_same_wavefronts(lens: Lens, view: View) -> None:
     from optiland.wavefront import Wavefront
 
     pupil = sobol_disc(RAYS, seed=0)
-    ours = wavefront(lens, view, pupil)
-    assert ours.opd.isfinite().double().mean() > 0.8 and (ours.curvature > 0).all()
+    ours = path_differences(lens, view, pupil)
+    assert ours.isfinite().double().mean() > 0.8
     optic, fields = OPTILAND.in_optiland(lens, view)
     for f, field in enumerate(map(tuple, fields)):
         reference = Wavefront(optic, [field], list(view.wavelengths_um), distribution=OPTILAND.Points(pupil))
         for w, theirs in enumerate(reference.data.values()):
-            through = ours.opd[f, w].isfinite()
-            torch.testing.assert_close(ours.opd[f, w][through], f64(theirs.opd)[through], rtol=0, atol=1e-8)
-            assert 1 / float(ours.curvature[f, w]) == pytest.approx(theirs.radius, rel=1e-12)
-            points = torch.stack([f64(theirs.pupil_x), f64(theirs.pupil_y)], -1)
-            towards = (ours.centre[f, w] - points) * ours.curvature[f, w]
-            torch.testing.assert_close(ours.towards[f, w][through], towards[through], rtol=0, atol=1e-11)
+            through = ours[f, w].isfinite()
+            torch.testing.assert_close(ours[f, w][through], f64(theirs.opd)[through], rtol=0, atol=1e-8)
 
 
 PUBLISHED = (
@@ -127,21 +122,6 @@ def test_wavefronts_of_random_aspheres(seed):
     """Dozens of waves."""
     view = View(f64([[0, 0], [-0.1, 0.2], [0.2, -0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
     assert_same_wavefronts(asphere_behind_a_stop(seed), view)
-
-
-def test_zernike_coefficients():
-    """Noll's, by least squares over the same rays."""
-    from optiland.wavefront import ZernikeOPD
-
-    lens, view = asphere_behind_a_stop(0), View(f64([[0.0, 0.0], [0.1, 0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
-    optic, fields = OPTILAND.in_optiland(lens, view)
-    for f, field in enumerate(map(tuple, fields)):
-        for w, wavelength in enumerate(view.wavelengths_um):
-            theirs = ZernikeOPD(optic, field, wavelength, 12, "noll", 28)
-            pupil = torch.stack([f64(theirs.distribution.x), f64(theirs.distribution.y)], -1)
-            ours = zernike_coefficients(wavefront(lens, view, pupil).opd[f, w], pupil, 28)
-            torch.testing.assert_close(ours, f64(theirs.coeffs), rtol=0, atol=1e-6)
-            assert float(ours[3:].abs().max()) > 1
 
 
 @pytest.mark.parametrize("degrees", [0.0, 10.0, 20.0])

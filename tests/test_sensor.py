@@ -6,8 +6,7 @@ import pytest
 import torch
 from kornia.color import rgb_to_linear_rgb
 
-from tasklens.camera.imaging import PsfCamera
-from tasklens.camera.sensor import expose, noise
+from tasklens.camera.imaging import PsfCamera, expose, noise
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 

@@ -21,7 +21,6 @@ from tasklens.optics.analysis.object_points import magnification
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, chief_rays, chief_rays_full, trace_fields
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
@@ -42,7 +41,7 @@ def blurred() -> tuple[Lens, View]:
 
 def chief_heights(lens: Lens, view: View) -> Tensor:
     """Heights (F,) of the chief rays on the last surface [mm]."""
-    behind = chief_rays_full(with_open_apertures(lens), view)[2][-1]
+    behind = chief_rays_full(lens.with_open_apertures(), view)[2][-1]
     return torch.hypot(behind.x, behind.y)[:, 0, 0]
 
 

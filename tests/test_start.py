@@ -6,7 +6,7 @@ from designs import LIMITS, SPEC
 from examples import f64, materials, random_lens
 
 from tasklens.design.constraints import manufacturing_margins, worst_margin
-from tasklens.design.schedule import cosine
+from tasklens.design.optimizers import cosine
 from tasklens.design.start import flat
 from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.analysis.paraxial import paraxial

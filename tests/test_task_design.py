@@ -14,9 +14,9 @@ from torch.nn.functional import interpolate
 from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins
-from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss
+from tasklens.design.criteria import ImageError, JointTaskLoss, TaskLoss, loss_at_psf
 from tasklens.design.descent import Descent
-from tasklens.design.objective import SELECTION, VALIDATION, Objective, loss_at_psf
+from tasklens.design.objective import SELECTION_IMAGES, VALIDATION_IMAGES, Objective
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -197,7 +197,7 @@ def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
     assert torch.equal(first, second) and len(first.unique()) == 240
     assert objective.batch_images().tolist() == list(range(300))  # too few to leave some out
     many = replace(objective, problem=replace(problem(), dataset=random_images(1000, 8, 3, 0)))
-    fixed = [{*many.fixed_images(part).tolist()} for part in (VALIDATION, SELECTION)]
+    fixed = [{*many.fixed_images(part).tolist()} for part in (VALIDATION_IMAGES, SELECTION_IMAGES)]
     assert {*many.batch_images().tolist()} == {*range(1000)} - fixed[0] - fixed[1]
     part = DescentSettings(steps=6)
     descent = Descent(start, many, GradientDesignSettings(descents=[part], batch_size=30), part, seed=0)

@@ -14,7 +14,6 @@ from tasklens.optics.analysis import bundles
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.analysis.spots import chief_rays
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.io import lens_files
 from tasklens.optics.io.fields import field_tangents
 from tasklens.optics.io.prescription import Prescription
@@ -139,7 +138,7 @@ def test_the_whole_pupil_follows_its_chief_ray(points):
     lens, view = fisheye(FAR), view_at(ANGLES)
     rays = launch_fields(lens, view, points)
     assert rays.valid.double().mean() > 0.9
-    _, behind = trace_full(with_open_apertures(lens), rays, lens.refractive_indices((0.5876,)))
+    _, behind = trace_full(lens.with_open_apertures(), rays, lens.refractive_indices((0.5876,)))
     at_stop, radius = behind[lens.stop], lens.semi_diameter[lens.stop]
     error = torch.hypot(at_stop.x - radius * points[:, 0], at_stop.y - radius * points[:, 1])
     assert float(error[rays.valid].max()) < 1e-11

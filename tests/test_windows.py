@@ -13,8 +13,7 @@ from reference_files import SHARED
 import tasklens
 from tasklens.api.design import verdict
 from tasklens.cli.app import main
-from tasklens.design.request import LensRequest
-from tasklens.design.single import BASELINES, designs
+from tasklens.design.single import BASELINES, LensRequest, designs
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.study.run import screening
 

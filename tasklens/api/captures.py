@@ -11,8 +11,7 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from tasklens.camera.imaging import PsfCamera, check_capture
-from tasklens.camera.sensor import noise
+from tasklens.camera.imaging import PsfCamera, check_capture, noise
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.spots import evaluation_psf, has_light
@@ -20,7 +19,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.recognition import class_folders, folders, user_images
-from tasklens.recognition.image_tensor import Image, image_tensor
+from tasklens.recognition.user_images import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress

@@ -10,8 +10,7 @@ from torch import nn
 
 from tasklens.api.ranking import Ranking, measure_lenses, on_sharp_images, predictions
 from tasklens.design.chain import Designs
-from tasklens.design.request import LensRequest, Specification
-from tasklens.design.single import BASELINES, designs
+from tasklens.design.single import BASELINES, LensRequest, Specification, designs
 from tasklens.design.supervision import Loss
 from tasklens.fields import SELECTION
 from tasklens.optics.lens import Lens

@@ -18,7 +18,6 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, chief_rays, has_light, trace_fields
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import RayStatus
@@ -74,7 +73,7 @@ class _FieldMap:
         self.fields = self.heights / self.image_scale
         for extent in _EXTENTS if distortion else (1.0,):
             trial_fields = torch.linspace(0, extent * radius / self.image_scale, 2 * _RADII, dtype=torch.float64)
-            chief = chief_rays(with_open_apertures(lens), view.along_y(trial_fields))
+            chief = chief_rays(lens.with_open_apertures(), view.along_y(trial_fields))
             image_heights = chief.y[:, 0, 0]
             rising = chief.valid[:, 0, 0] & (torch.diff(image_heights, prepend=image_heights[:1] - 1) > 0)
             count = int(rising.int().cumprod(0).sum())

@@ -26,7 +26,7 @@ from tasklens.runtime.errors import InputError
 
 if TYPE_CHECKING:
     from tasklens.design.chain import Designs
-    from tasklens.design.request import Specification
+    from tasklens.design.single import Specification
     from tasklens.recognition.dataset import ImageDataset
 
 _SPEC = "Specification (with --start: overrides of the file)"
@@ -158,7 +158,7 @@ def design(
     start.check()
     classifier = _network(method.method, network, save_network, force)
     from tasklens.design import single
-    from tasklens.design.request import LensRequest
+    from tasklens.design.single import LensRequest
     from tasklens.show import glance
 
     request = LensRequest(

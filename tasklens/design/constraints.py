@@ -121,15 +121,10 @@ def limit_margins(lens: Lens, limits: Constraints, view: View, semi_diameter: Te
     return all_margins(lens, limits, view.at_all_radii(), semi_diameter)
 
 
-def corner_view(view: View) -> View:
-    """Return the view of axis and corner at the middle wavelength, for clear semi-diameters."""
-    extreme = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.radii.argmax()]])
-    return replace(view.in_reference(), fields=extreme)
-
-
 def penalty(lens: Lens, limits: Constraints, view: View) -> Tensor:
     """Sum the squared violations of all limits, for gradient descent."""
-    semi_diameter = clear_semi_diameters(lens.detached(), corner_view(view))
+    axis_and_corner = torch.stack([torch.zeros_like(view.fields[0]), view.fields[view.radii.argmax()]])
+    semi_diameter = clear_semi_diameters(lens.detached(), replace(view.in_reference(), fields=axis_and_corner))
     return violation(limit_margins(lens, limits, view, semi_diameter)).square().sum()
 
 

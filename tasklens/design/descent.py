@@ -15,7 +15,6 @@ from tasklens.design.objective import Objective
 from tasklens.design.optimizers import LEEWAY_MM, OPTIMIZERS
 from tasklens.design.problem import History
 from tasklens.design.ray_space import as_saved
-from tasklens.design.schedule import geometric
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields_full
 from tasklens.optics.lens import Lens
@@ -29,6 +28,11 @@ VALIDATIONS = 20  # validations of a descent, if its pixel pitch is constant
 _PATIENCE = 3  # validations without a better lens
 _ROWS = 100  # smallest number of rows of a history, if there are enough steps
 _SHOWN = ("loss", "validation_loss", "energy_in_window", "penalty")  # numbers of a step in progress lines
+
+
+def geometric(start: float, fraction: float) -> float:
+    """Compute a scale that changes geometrically from `start` at fraction 0 to 1 at fraction 1, and then stays 1."""
+    return start ** max(0.0, 1 - fraction)
 
 
 class Diverged(Exception):
@@ -100,8 +104,8 @@ class Descent:
             raise divergence(lens, loss.view, pupil, loss.fields)
         objective.criterion.train_step()
         numbers |= {"loss": loss.fields.mean().item(), "worst_field": loss.fields.max().item()}
-        if loss.energy is not None:
-            numbers["energy_in_window"] = loss.energy
+        if loss.psfs is not None:
+            numbers["energy_in_window"] = float(loss.psfs.detach().sum((-2, -1)).mean())
         numbers |= {"pixel_scale": pixels, "stop_scale": stop, **optimizer.numbers()}
         if math.isinf(self.least[1]):  # before the first validation the last finite lens is the best
             self.best = vector.detach().clone()

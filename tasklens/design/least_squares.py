@@ -16,9 +16,9 @@ from scipy.optimize import least_squares
 
 from tasklens.design.merit import VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import History, Problem
-from tasklens.design.random_starts import random_starts
+from tasklens.design.start import random_starts
 from tasklens.design.variables import ORDERS, Variables
-from tasklens.optics.analysis import vignetting
+from tasklens.optics.analysis.spots import heights_at, smallest_aperture, with_vignetting_aperture
 from tasklens.optics.lens import Lens
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import single_thread
@@ -145,13 +145,13 @@ class _Search:
         for surface in lens.refracting_surfaces:
             clipped = lens
             for _ in range(_VIGNETTINGS):
-                heights = vignetting.heights_at(clipped, merit.view, merit.pupil, surface)
+                heights = heights_at(clipped, merit.view, merit.pupil, surface)
                 inside = heights[..., : len(merit.weight)]
-                merit.keep(inside <= vignetting.smallest_aperture(inside, merit.weight, heights[0], loss))
+                merit.keep(inside <= smallest_aperture(inside, merit.weight, heights[0], loss))
                 clipped, error = self.improve(clipped, merit, _STAGES[-1][1], _STRICT_EVALUATIONS)
             results.append((error, surface, clipped))
         error, surface, clipped = min(results, key=lambda result: result[:2])
-        return vignetting.with_vignetting_aperture(clipped, merit.view, surface, loss), error
+        return with_vignetting_aperture(clipped, merit.view, surface, loss), error
 
     def best(
         self,

@@ -11,8 +11,9 @@ from torch import Tensor, nn
 
 from tasklens.design import descents, least_squares
 from tasklens.design.constraints import limit_margins, smallest_margins, worst_margin
-from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
-from tasklens.design.network_focus import focused_by_network
+from tasklens.design.criteria import Contrast, Correlation, ImageError, JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.network_focus import refocus_by_network
+from tasklens.design.objective import Criterion
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
@@ -22,7 +23,6 @@ from tasklens.optics.analysis.datasheet import figures, means
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
-from tasklens.optics.apertures import with_clear_apertures, with_open_apertures
 from tasklens.optics.io import imported
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
@@ -131,7 +131,7 @@ def _imported(
     if by == "network":
         assert classifier is not None and problem.dataset is not None  # inputs of the job unless the focus needs none
         network = frozen(classifier, problem.dataset.images, "stored")
-        focused = focused_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
+        focused = refocus_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
     elif by != "file":
         focused = refocus(lens, problem.view, by)
     origin = {"design": plan.entry.design_name, "method": "file"} | details
@@ -143,7 +143,7 @@ def _imported(
 
 def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:
     """Return a starting lens: with all coefficients of a design, and open apertures unless they are kept."""
-    return with_coefficients(lens if keep_apertures else with_open_apertures(lens))
+    return with_coefficients(lens if keep_apertures else lens.with_open_apertures())
 
 
 def with_notes(
@@ -157,7 +157,7 @@ def with_notes(
     view = view_of_spec(plan.spec)
     margins = limit_margins(lens, plan.constraints, view, torch.minimum(radii, lens.semi_diameter))
     name, value = worst_margin(margins)
-    lens = lens if keep_apertures else with_clear_apertures(lens, radii)
+    lens = lens if keep_apertures else lens.with_clear_apertures(radii)
     notes = {
         "spec": plan.spec.model_dump(mode="json"),
         "origin": origin,

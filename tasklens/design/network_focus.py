@@ -14,7 +14,7 @@ _LAST_STEP = 0.25
 _ROUNDS = 4  # searches after the first, while the best plane is the outermost
 
 
-def focused_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
+def refocus_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
     """Move the image plane of a lens to the least loss of a network on training images.
 
     The search begins at planes around the peak of the MTF, moves on while the best plane is the outermost, and then

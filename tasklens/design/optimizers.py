@@ -5,6 +5,7 @@ torch's optimizers. `change` computes a step and `apply` takes it, so that the c
 finite.
 """
 
+import math
 from typing import Any
 
 import torch
@@ -13,13 +14,17 @@ from torch import Tensor
 from tasklens.design.constraints import incidence_penalty, penalty
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import HARD, SOFT, RaySpace
-from tasklens.design.schedule import cosine
 from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.lens import Lens
 from tasklens.settings.design_settings import DescentSettings
 
 LEEWAY_MM = 0.05  # violation norm above which a lens is far outside its limits; and the increase that halves a step
 _HALVINGS = 5  # maximum number of halvings of a step
+
+
+def cosine(fraction: float, final: float) -> float:
+    """Compute the factor on a rate after `fraction` of the steps: half a cosine from 1 to `final`."""
+    return final + (1 - final) * 0.5 * (1 + math.cos(math.pi * min(fraction, 1.0)))
 
 
 class RaySpaceOptimizer:

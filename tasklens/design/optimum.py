@@ -7,8 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from tasklens.design.criteria import CaptureCriterion
-from tasklens.design.objective import SELECTION, Objective
+from tasklens.design.objective import SELECTION_IMAGES, Objective
 from tasklens.design.ray_space import HARD, RaySpace, repair
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.lens import Lens
@@ -46,7 +45,7 @@ def local_optimum(lens: Lens, objective: Objective, settings: DescentSettings) -
     for k in range(_DIRECTIONS):
         sample = model.scale * torch.randn(len(model.scale), generator=generator, dtype=model.scale.dtype)
         steps.append((f"random direction {k + 1}", STEPS_UM[0], model.metric @ sample))
-    losses, captured = _losses(objective, lens, pixels), isinstance(objective.criterion, CaptureCriterion)
+    losses, captured = _losses(objective, lens, pixels), objective.criterion.reads_images
     gains: list[dict[str, Any]] = []
     for direction, step_um, slope in steps:
         change = model.step(slope, step_um, settings.damping, HARD)
@@ -62,7 +61,7 @@ def _halves(objective: Objective) -> tuple[slice, slice]:
     if objective.problem.dataset is None:
         return slice(0), slice(0)
     count = len(objective.dataset)
-    first = max(0, count + SELECTION.start)
+    first = max(0, count + SELECTION_IMAGES.start)
     middle = (first + count) // 2
     return slice(first, middle), slice(middle, count)
 

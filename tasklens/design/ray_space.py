@@ -18,7 +18,6 @@ from torch import Tensor
 from tasklens.design.constraints import limit_margins, worst_margin
 from tasklens.design.merit import Merit, limit_semi_diameters
 from tasklens.design.variables import Free, Variables
-from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.settings.specification import Constraints
@@ -128,7 +127,8 @@ def repair(lens: Lens, view: View, limits: Constraints, free: Free | None = None
 
 def as_saved(lens: Lens, view: View, limits: Constraints, free: Free | None = None) -> Lens:
     """Return a lens as its file will hold it: repaired, and with its missing clear apertures."""
-    return with_clear_apertures(*repair(lens, view, limits, free))
+    repaired, radii = repair(lens, view, limits, free)
+    return repaired.with_clear_apertures(radii)
 
 
 def _repair(lens: Lens, view: View, limits: Constraints, free: Free | None) -> Lens:

@@ -4,14 +4,15 @@ import math
 import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
+
+from torch import nn
 
 from tasklens.design import chain, from_lens
 from tasklens.design.chain import Designs
-from tasklens.design.request import LensRequest
-from tasklens.design.supervision import Supervision, UserTask
+from tasklens.design.supervision import Loss, Supervision, UserTask
 from tasklens.materials.library import user_files
 from tasklens.optics.analysis.datasheet import spec_of
 from tasklens.optics.analysis.paraxial import paraxial
@@ -31,6 +32,39 @@ _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a ve
 _ELEMENTS = ("COC", "OKP4")
 _OF_THE_START = ("elements", "diagonal_mm", "aspect")  # what a lens that is improved keeps
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
+
+
+class Specification(TypedDict, total=False):
+    """Keys of `Spec`, and of the file of a lens that is improved; None for the default, or the value of the file."""
+
+    f_number: float | None
+    field_of_view_deg: float | None
+    diagonal_mm: float | None
+    aspect: tuple[float, float] | None
+    pixel_pitch_um: float | None
+    kernel_size: int | None
+    wavelengths_um: Sequence[float] | Sequence[str] | None
+    object_distance_mm: float | None
+    configuration: int | None
+
+
+@dataclass(frozen=True)
+class LensRequest:
+    """One lens to design; `design_lens` explains each value."""
+
+    method: str | None = None
+    elements: Sequence[str] | None = None
+    seed: int = 0
+    settings: Mapping[str, Any] | None = None
+    constraints: Mapping[str, Any] | None = None
+    catalogues: str | Path | Sequence[str | Path] = ()
+    images: Any = None
+    size: int | None = None
+    network: nn.Module | Mapping[str, Any] | None = None
+    loss: Loss | None = None
+    start: str | Path | tuple[Lens, View] | None = None
+    free: Mapping[str, Sequence[int] | None] | None = None
+    spec: Specification = field(default_factory=Specification)
 
 
 def designs(

@@ -14,7 +14,7 @@ from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.settings.learning_rates import LearningRates
+from tasklens.settings.design_settings import LearningRates
 
 Free = Mapping[Any, Sequence[int]]  # free variables by name, and the surfaces on which they are free
 ORDERS = (4, 6, 8, 10)  # orders of asphere coefficients in designs; alpha_2 would duplicate the curvature

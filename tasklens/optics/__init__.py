@@ -17,7 +17,6 @@ Conventions:
   d(launch x, y) / d(pupil x, y). Spots, PSFs and MTFs leave it out; relative illumination does not.
 - Tangential is along the field, in the plane of axis and chief ray; sagittal is across it. On the axis tangential is y.
 - A wavefront is ahead of its reference where W > 0: the ray's optical path is shorter than that of the chief ray.
-  Zernike coefficients are in Noll's order, in waves RMS.
 - Energies, PSFs and MTF are fractions of the light that passes the clear apertures, since exposure compensates
   vignetting; other lost rays lower them. RMS radii use the valid rays only.
 """

@@ -9,8 +9,54 @@ from torch import Tensor
 
 from tasklens.materials.material import AIR, Material
 from tasklens.optics.lens_html import html
-from tasklens.optics.pose import Pose
+from tasklens.optics.rays import Rays
 from tasklens.optics.surface import Surface
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Poses of S surfaces: a point P' in the axes of a surface is at P = R P' + p relative to its nominal vertex.
+
+    Attributes:
+        rotation: (S, 3, 3) R, whose columns are the axes of the surface.
+        position: (S, 3) p, from the nominal vertex to that of the surface [mm].
+    """
+
+    rotation: Tensor
+    position: Tensor
+
+    @classmethod
+    def nominal(cls, surfaces: int, dtype: torch.dtype) -> "Pose":
+        """Return the poses of surfaces that are neither decentred nor tilted."""
+        return cls(torch.eye(3, dtype=dtype).expand(surfaces, 3, 3), torch.zeros(surfaces, 3, dtype=dtype))
+
+    def moved(self, surfaces: list[int], decentre: Tensor, tilt: Tensor, pivots: Tensor) -> "Pose":
+        """Move surfaces as one rigid body: turn them about a pivot, then shift them.
+
+        P -> pivot + (dx, dy, 0) + M (P - pivot),  M = Rx(tilt_x) Ry(tilt_y), right-handed
+
+        Args:
+            decentre: (2,) dx, dy [mm].
+            tilt: (2,) angles about x and y [rad].
+            pivots: (len(surfaces), 3) the pivot from the nominal vertex of each surface [mm].
+        """
+        turn = _about_x(tilt[0]) @ _about_y(tilt[1])
+        shift = torch.cat([decentre, torch.zeros_like(decentre[:1])])
+        index = torch.tensor(surfaces)
+        position = pivots + shift + (self.position[index] - pivots) @ turn.T
+        rotation = turn @ self.rotation[index]
+        return Pose(self.rotation.index_copy(0, index, rotation), self.position.index_copy(0, index, position))
+
+    def to_surface(self, i: int, rays: Rays) -> Rays:
+        """Transform rays from the axes of the lens, at the nominal vertex i, to the axes of the surface."""
+        point = torch.stack([rays.x, rays.y, rays.z], -1) - self.position[i]
+        return _with(rays, point @ self.rotation[i], torch.stack([rays.l, rays.m, rays.n], -1) @ self.rotation[i])
+
+    def to_lens(self, i: int, rays: Rays) -> Rays:
+        """Transform rays from the axes of surface i to the axes of the lens, at the nominal vertex."""
+        turn = self.rotation[i].T
+        point = torch.stack([rays.x, rays.y, rays.z], -1) @ turn + self.position[i]
+        return _with(rays, point, torch.stack([rays.l, rays.m, rays.n], -1) @ turn)
 
 
 @dataclass(frozen=True)
@@ -113,6 +159,19 @@ class Lens:
         factor[self.stop] = scale
         return replace(self, semi_diameter=self.semi_diameter * factor)
 
+    def with_open_apertures(self) -> "Lens":
+        """Return the lens without clear apertures except the stop."""
+        semi_diameter = torch.full_like(self.semi_diameter, torch.inf)
+        semi_diameter[self.stop] = self.semi_diameter[self.stop]
+        return replace(self, semi_diameter=semi_diameter)
+
+    def with_clear_apertures(self, clear: Tensor) -> "Lens":
+        """Return the lens with clear apertures of semi-diameters `clear` (S,) [mm] on surfaces that have none.
+
+        They vignette stray rays: task-driven lenses have strongly curved rims, where a few rim rays have large errors.
+        """
+        return replace(self, semi_diameter=torch.where(self.semi_diameter.isinf(), clear, self.semi_diameter))
+
     def scaled(self, factor: float) -> "Lens":
         """Return the lens scaled by s: lengths times s, curvatures / s, alpha_2j / s^(2j - 1)."""
         power = 2 * torch.arange(self.alpha.shape[1], dtype=self.dtype) + 1
@@ -162,3 +221,18 @@ class Lens:
 @lru_cache(maxsize=256)
 def _indices(media: tuple[Material, ...], wavelengths: tuple[float, ...]) -> list[list[float]]:
     return [[medium.refractive_index(w) for w in wavelengths] for medium in (AIR, *media)]
+
+
+def _with(rays: Rays, point: Tensor, direction: Tensor) -> Rays:
+    (x, y, z), (l, m, n) = point.unbind(-1), direction.unbind(-1)
+    return replace(rays, x=x, y=y, z=z, l=l, m=m, n=n)
+
+
+def _about_x(angle: Tensor) -> Tensor:
+    one, zero, c, s = torch.ones_like(angle), torch.zeros_like(angle), torch.cos(angle), torch.sin(angle)
+    return torch.stack([one, zero, zero, zero, c, -s, zero, s, c]).reshape(3, 3)
+
+
+def _about_y(angle: Tensor) -> Tensor:
+    one, zero, c, s = torch.ones_like(angle), torch.zeros_like(angle), torch.cos(angle), torch.sin(angle)
+    return torch.stack([c, zero, s, zero, one, zero, -s, zero, c]).reshape(3, 3)

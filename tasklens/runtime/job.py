@@ -13,10 +13,10 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints
 
-from tasklens.runtime import job_lock
+from tasklens.runtime import locks
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import remove_abandoned
-from tasklens.runtime.progress_file import progress_file
+from tasklens.runtime.progress import progress_file
 
 Paths = str | Sequence[str]
 _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt(3)
@@ -47,7 +47,7 @@ def run(
     name = label.replace("/", "-", 1)
     key = _digest(function, settings, code, *_states(inputs))
     checkpoint = _checkpoint_path(key, folder / "checkpoints" / name)
-    lock = job_lock.alone(folder / "locks" / f"{name}.lock", key, [Path(path) for path in outputs.values()])
+    lock = locks.alone(folder / "locks" / f"{name}.lock", key, [Path(path) for path in outputs.values()])
     with lock if outputs else nullcontext(True) as work:
         if work:
             with progress_file(str(folder), label):

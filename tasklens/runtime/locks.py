@@ -1,10 +1,18 @@
-"""Locks between processes; a process that waits prints a line to the log now and then."""
+"""Locks between processes, and one process at a time for each job; a waiting process prints a line now and then."""
 
+import json
+import os
+import socket
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
+
+from tasklens.runtime.files import write_text
 
 _REMINDER_S = 30.0  # time between two lines
 
@@ -33,3 +41,40 @@ def wait_until(ready: Callable[[], bool], what: str) -> None:
             last = waited
             print(f"waiting for {what}, {waited:.0f} s", file=sys.stderr, flush=True)
         time.sleep(1.0)
+
+
+@contextmanager
+def alone(path: Path, key: str, outputs: Iterable[Path]) -> Iterator[bool]:
+    """Let no other process run a job while the block runs; wait for one that already does.
+
+    Args:
+        path: path of the lock; the last process that held it leaves its host and id in a JSON file of the same name.
+        key: digest of what the job computes.
+        outputs: outputs of the job.
+
+    Yields:
+        True if there is work; false if this process waited for another that computed the same, and its outputs exist.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    lock, record = FileLock(path), path.with_suffix(".json")
+    waited = not acquire(lock)
+    if waited:
+        other = _read(record)
+        wait_until(lambda: acquire(lock), f"process {other.get('pid')} on {other.get('host')}, which runs this job")
+    try:
+        done = waited and _read(record).get("done") == key and all(output.exists() for output in outputs)
+        process = {"pid": os.getpid(), "host": socket.gethostname()}
+        if not done:
+            write_text(record, json.dumps(process))
+        yield not done
+        if not done:  # not reached if the job fails or is killed: older outputs may exist then
+            write_text(record, json.dumps(process | {"done": key}))
+    finally:
+        lock.release()
+
+
+def _read(record: Path) -> dict[str, Any]:
+    try:
+        return json.loads(record.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # not written yet, or by a killed process
+        return {}

@@ -1,13 +1,25 @@
-"""Progress lines for logs: step, values and remaining time."""
+"""Progress of jobs: lines for logs, and a file of a running job for programs that show a run.
 
+The file is results/<study>/progress/<label>.json. Its keys are `host`, `pid`, `started` and `updated` [s since 1970];
+after the first step also `phase`, and for this phase `step`, `total`, `values` and `remaining_s`.
+"""
+
+import json
+import os
+import socket
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tasklens.runtime.files import temporary_of
 
 # Called at every step with the label, the step (counted from 1), the number of steps and the values.
 Listener = Callable[[str, int, int, Mapping[str, float]], None]
 _listeners: list[tuple[Listener, bool]] = []
+_INTERVAL_S = 1.0  # least time between two writes
 
 
 @contextmanager
@@ -45,3 +57,53 @@ class Progress:
         text = "".join(f"  {name} {value:.4g}" for name, value in values.items())
         line = f"{self.label}  step {step}/{self.total}{text}  remaining {remaining:.0f} s"
         print(line, file=sys.stderr, flush=True)
+
+
+def _path(folder: str, label: str) -> Path:
+    return Path(folder, "progress", f"{label}.json")
+
+
+def read_progress(folder: str, label: str) -> Mapping[str, Any] | None:
+    """Read the progress of a job; None if it has not reported yet, or has ended."""
+    try:
+        return json.loads(_path(folder, label).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+
+
+@contextmanager
+def progress_file(folder: str, label: str) -> Iterator[None]:
+    """Keep the progress file of this process' job up to date during the block; the log has progress lines too."""
+    path = _path(folder, label)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    content: dict[str, Any] = {"host": socket.gethostname(), "pid": os.getpid(), "started": time.time()}
+    first, began, written = 0, 0.0, 0.0
+
+    def write() -> None:
+        nonlocal written
+        written = time.monotonic()
+        temporary = temporary_of(path)
+        try:
+            temporary.write_text(json.dumps(content | {"updated": time.time()}), encoding="utf-8")
+            os.replace(temporary, path)
+        except OSError:  # on a full disk the job goes on without it
+            temporary.unlink(missing_ok=True)
+
+    def listen(phase: str, step: int, total: int, values: Mapping[str, float]) -> None:
+        nonlocal first, began
+        now = time.monotonic()
+        if content.get("phase") != phase or step <= first:
+            first, began = step, now
+            content.pop("remaining_s", None)
+        content.update(phase=phase, step=step, total=total, values=dict(values))
+        if step > first:
+            content["remaining_s"] = (now - began) / (step - first) * (total - step)
+        if now - written >= _INTERVAL_S:
+            write()
+
+    write()
+    try:
+        with reporting_to(listen, lines=True):
+            yield
+    finally:
+        path.unlink(missing_ok=True)

@@ -17,12 +17,11 @@ from tasklens.settings.design_methods import from_flat, methods
 from tasklens.settings.design_settings import DesignSettings, GradientDesignSettings
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
-from tasklens.settings.layers import merged_settings
+from tasklens.settings.layers import check_plain, merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import LensDesign, LensEntry
 from tasklens.settings.messages import problems
 from tasklens.settings.network_settings import ClassifierSettings
-from tasklens.settings.plain import check_plain
 from tasklens.settings.quantities import Name
 from tasklens.settings.specification import Constraints, Spec
 

@@ -13,7 +13,6 @@ from torch import Tensor
 from tasklens.optics.analysis import datasheet
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, evaluation_psf, lit_semi_diameters, trace_fields
-from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
@@ -79,7 +78,7 @@ class Panel:
         psf = evaluation_psf(lens, view.in_colours(), rays).float()
         figures = datasheet.figures(lens, view, rays)
         view = view if len(view.wavelengths_um) < len(BY_WAVELENGTH) else view.in_colours()
-        return cls.of(title, with_clear_apertures(lens, RIM * lit_semi_diameters(lens, view)), view, psf, figures)
+        return cls.of(title, lens.with_clear_apertures(RIM * lit_semi_diameters(lens, view)), view, psf, figures)
 
     @property
     def shown_um(self) -> float:

@@ -16,8 +16,7 @@ from tasklens.settings.field_settings import Points
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.names import SHARP
-from tasklens.settings.network_settings import ClassifierSettings, TrainingSettings
-from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings
 from tasklens.settings.specification import Spec
 from tasklens.study.study import Study, StudyError
 

@@ -6,8 +6,7 @@ from tasklens.settings import names
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.field_settings import Points, radii
 from tasklens.settings.frozen import Frozen
-from tasklens.settings.network_settings import ClassifierSettings
-from tasklens.settings.restoration_settings import RestorationSettings
+from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
 from tasklens.study import claims as paper_claims

@@ -3,8 +3,8 @@
 from typing import Any
 
 from tasklens.settings.design_methods import methods
+from tasklens.settings.design_settings import PRESETS
 from tasklens.settings.field_settings import NAMED
-from tasklens.settings.learning_rates import PRESETS
 from tasklens.settings.tolerance_settings import GRADES
 from tasklens.study.loading import EXTENDS
 from tasklens.study.study import Study

@@ -20,9 +20,8 @@ from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
 from tasklens.settings.messages import in_words
-from tasklens.settings.network_settings import ClassifierSettings, TrainingSettings
+from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings
 from tasklens.settings.quantities import Name, Rays, Seed, StudyName
-from tasklens.settings.restoration_settings import RestorationSettings
 from tasklens.settings.specification import Constraints, Spec
 from tasklens.settings.task_settings import TaskSettings, TasksSettings
 from tasklens.settings.tolerance_settings import ToleranceSettings

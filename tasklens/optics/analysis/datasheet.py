@@ -20,8 +20,7 @@ from tasklens.optics.analysis.spots import (
     rms_spot_radius,
     trace_fields,
 )
-from tasklens.optics.analysis.wavefront import wavefront
-from tasklens.optics.analysis.zernike import rms_wavefront_error
+from tasklens.optics.analysis.wavefront import path_differences, rms_wavefront_error
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import passing
 from tasklens.optics.view import View
@@ -190,7 +189,7 @@ def _by_field(lens: Lens, view: View, rays: int) -> dict:
     columns = {
         "angle_deg": torch.rad2deg(torch.atan(view.radii / view.efl)),
         **{name: spots[name] for name in ("valid_fraction", "energy_in_window", "rms_centroid_um", "rms_chief_ray_um")},
-        "rms_wavefront_waves": rms_wavefront_error(wavefront(lens, view.in_reference(), pupil).opd[:, 0], pupil),
+        "rms_wavefront_waves": rms_wavefront_error(path_differences(lens, view.in_reference(), pupil)[:, 0], pupil),
         **{name: spots[name] for name in ("core_radius_um", "radius_80_um")},
         "mtf_tangential_quarter_nyquist": mtf_tangential[:, 0],
         "mtf_sagittal_quarter_nyquist": mtf_sagittal[:, 0],

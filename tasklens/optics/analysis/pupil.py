@@ -8,14 +8,12 @@ import torch
 from torch import Tensor
 
 from tasklens.optics.analysis.aiming import aim, stop_is_inside
-from tasklens.optics.analysis.object_points import check_in_front, image_scale, rays_from_object, vertex_tangents
+from tasklens.optics.analysis.object_points import check_in_front, rays_from_object, vertex_tangents
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-
-_RIM = 16  # rays per field for the test whether an object is in front of the lens
 
 
 def check_rays(count: int) -> None:
@@ -73,12 +71,6 @@ def check_stop(lens: Lens) -> None:
             f"surface {lens.stop}: semi_diameter: the radius of the stop is {radius} mm; expected a positive and finite"
             " one; correct it"
         )
-
-
-def check_object(lens: Lens, view: View) -> None:
-    """Check that the object is in front of the lens, and that the lens forms a real image of it; raises InputError."""
-    launch_fields(lens, view, rim(_RIM))
-    image_scale(lens, view)
 
 
 def launch_fields(lens: Lens, view: View, pupil: Tensor, wavelengths: tuple[float, ...] | None = None) -> Rays:

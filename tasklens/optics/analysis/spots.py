@@ -11,7 +11,6 @@ from torch import Tensor
 
 from tasklens.optics.analysis.diffraction import diffraction_psf
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays, passing
@@ -24,6 +23,7 @@ _NEAR_AXIS = 1e-4  # field angle [rad] of chief rays near the axis
 _LIT = 4096  # rays for the illuminated radii of a lens that vignettes
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
 OUTLINE = torch.cat([rim(_RIM), _CENTRE])  # (N, 2) pupil points of marginal and chief rays
+_RAYS = 4096  # rays per field and colour for an aperture that vignettes
 
 
 def trace_fields(lens: Lens, view: View, pupil: Tensor) -> Rays:
@@ -59,7 +59,7 @@ def chief_points(lens: Lens, view: View) -> Tensor:
 
     Clear apertures are ignored: light may arrive around a chief ray that they stop.
     """
-    rays = chief_rays(with_open_apertures(lens), view)
+    rays = chief_rays(lens.with_open_apertures(), view)
     return torch.stack([rays.x[:, 0, 0], rays.y[:, 0, 0]], -1)
 
 
@@ -184,3 +184,33 @@ def evaluation_psf(lens: Lens, view: View, rays: int, diffraction: bool = False)
         else psf(traced, centre, view.pixel_pitch_um, view.kernel_size)
     )
     return grid / transmission[..., None, None]
+
+
+def smallest_aperture(heights: Tensor, weight: Tensor, axial: Tensor, loss: float) -> Tensor:
+    """Compute the smallest clear radius that passes the axial beam, and all but a fraction `loss` of any other beam.
+
+    Args:
+        heights: (F, W, N) distances of rays from the axis [mm]; infinite for a lost ray.
+        weight: (N,) fractions of the light of a field and colour; their sum is 1.
+        axial: distances of the rays of the axial beam from the axis [mm].
+        loss: largest fraction of the light of a field that is stopped.
+    """
+    ordered, order = heights.flatten(1).sort(-1)
+    energy = weight.repeat(heights.shape[1])[order].cumsum(-1) / heights.shape[1]
+    enough = (energy < 1 - loss).sum(-1, keepdim=True)
+    return torch.maximum(ordered.gather(-1, enough).max(), axial.max())
+
+
+def heights_at(lens: Lens, view: View, pupil: Tensor, surface: int) -> Tensor:
+    """Compute the distances (F, W, N) from the axis at which rays pass a surface [mm]; infinite for a lost ray."""
+    rays = trace_fields_full(lens.detached(), view, pupil)[1][surface]
+    return torch.where(rays.lost_at < 0, torch.hypot(rays.x, rays.y), torch.inf)
+
+
+def with_vignetting_aperture(lens: Lens, view: View, surface: int, loss: float) -> Lens:
+    """Return the lens with the smallest clear aperture of a surface that stops at most `loss` of any field."""
+    heights = heights_at(lens, view, torch.cat([sobol_disc(_RAYS, seed=0), OUTLINE]), surface)
+    weight = torch.full((_RAYS,), 1 / _RAYS, dtype=heights.dtype)
+    semi_diameter = lens.semi_diameter.clone()
+    semi_diameter[surface] = smallest_aperture(heights[..., :_RAYS], weight, heights[view.radii.argmin()], loss)
+    return replace(lens, semi_diameter=semi_diameter)

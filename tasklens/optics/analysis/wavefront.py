@@ -1,4 +1,4 @@
-"""The wavefront at the exit pupil: optical path differences from a reference sphere.
+"""The wavefront at the exit pupil: optical path differences from a reference sphere, and their RMS.
 
 Conventions:
 
@@ -9,8 +9,6 @@ Conventions:
 - W is the optical path of the chief ray from the object to the sphere minus that of the ray: it is zero for the chief
   ray and positive if the wavefront is ahead of the sphere, as in `seidel_sums`.
 """
-
-from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -24,27 +22,10 @@ from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of the chief ray
+_WEAKEST = 1e-8  # smallest ratio of the least to the largest eigenvalue of normal equations that can be solved
 
 
-@dataclass(frozen=True)
-class Wavefront:
-    """The wavefront of F fields and W wavelengths on its reference spheres; NaN for lost rays.
-
-    Attributes:
-        opd: (F, W, N) optical path difference W of each ray [waves of its wavelength].
-        towards: (F, W, N, 2) direction cosines, x and y, of the sphere's normal at the ray, along the light: for a
-            pupil in front of the image it points to the centre. They are the pupil of a diffraction integral.
-        centre: (F, W, 2) centre (x, y) of the sphere on the image plane [mm].
-        curvature: (F, W) 1 / radius of the sphere [1/mm], positive for an exit pupil in front of the image plane.
-    """
-
-    opd: Tensor
-    towards: Tensor
-    centre: Tensor
-    curvature: Tensor
-
-
-def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = None) -> Wavefront:
+def path_differences(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = None) -> Tensor:
     """Compute the optical path differences from the reference sphere, differentiable in the lens.
 
     W = (L_chief - L) / wavelength,  L = n s + path - n' t
@@ -63,8 +44,9 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
             wavelength. With `chief_points`, at the middle wavelength, lateral colour is a tilt.
 
     Returns:
-        The wavefront; NaN for lost rays, for all rays of a field and wavelength whose chief ray is lost, for rays that
-        miss the sphere, and for an exit pupil on the image plane.
+        (F, W, N) optical path difference W of each ray [waves of its wavelength]; NaN for lost rays, for all rays of a
+        field and wavelength whose chief ray is lost, for rays that miss the sphere, and for an exit pupil on the image
+        plane.
 
     Source: Welford, Aberrations of Optical Systems (1986), chapter 7.
     """
@@ -77,21 +59,18 @@ def wavefront(lens: Lens, view: View, pupil: Tensor, centre: Tensor | None = Non
         centre = centre[:, None].expand(-1, len(view.wavelengths_um), -1)
     vergence = paraxial(lens, view.reference_um).pupil_vergence
     curvature = vergence / torch.sqrt(1 + vergence**2 * centre.square().sum(-1))
-    distance, towards, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
+    distance, meets = _to_sphere(rays, centre[:, :, None], curvature[..., None])
     phase = indices[0, :, None] * object_path(lens, view, start)
     length = phase + rays.path - indices[-1, :, None] * distance
     waves = (length[..., :1] - length) / (1e-3 * torch.tensor(view.wavelengths_um, dtype=lens.dtype)[:, None])
-    valid = meets & meets[..., :1]
-    waves, towards = torch.where(valid, waves, torch.nan), torch.where(valid[..., None], towards, torch.nan)
-    return Wavefront(waves[..., 1:], towards[..., 1:, :], centre, curvature)
+    return torch.where(meets & meets[..., :1], waves, torch.nan)[..., 1:]
 
 
-def _to_sphere(rays: Rays, centre: Tensor, curvature: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+def _to_sphere(rays: Rays, centre: Tensor, curvature: Tensor) -> tuple[Tensor, Tensor]:
     """Follow rays from the image plane back to the sphere of radius R = 1 / c around `centre`.
 
     Returns:
-        t - R [mm]; x and y of the sphere's normal c (t D - d), (..., 2); and whether the ray is valid and meets the
-        sphere.
+        t - R [mm]; and whether the ray is valid and meets the sphere.
     """
     dx, dy = (torch.where(rays.valid, v, 0.0) for v in (rays.x - centre[..., 0], rays.y - centre[..., 1]))
     along = dx * rays.l + dy * rays.m
@@ -99,6 +78,28 @@ def _to_sphere(rays: Rays, centre: Tensor, curvature: Tensor) -> tuple[Tensor, T
     squared = 1 + curvature.square() * q
     meets = rays.valid & (squared > 0) & curvature.isfinite()
     root = torch.sqrt(torch.where(meets, squared, 1.0))
-    beyond = along + curvature * q / (1 + root)
-    scaled = curvature * along + root  # c t
-    return beyond, torch.stack([scaled * rays.l - curvature * dx, scaled * rays.m - curvature * dy], -1), meets
+    return along + curvature * q / (1 + root), meets
+
+
+def rms_wavefront_error(opd: Tensor, pupil: Tensor) -> Tensor:
+    """Compute the RMS (...) over the valid points without piston and tilt, relative to the best-fitting image point.
+
+    Piston and tilt are fitted to the valid points by least squares. Differentiable in `opd`.
+
+    Args:
+        opd: (..., N) optical path differences, as from `path_differences`; NaN where a ray is lost.
+        pupil: (N, 2) points of the unit disc, of equal weight.
+
+    Returns:
+        The RMS in the unit of `opd`; NaN if the valid points do not determine piston and tilt.
+    """
+    x, y = pupil.to(opd.dtype).unbind(-1)
+    terms, valid = torch.stack([torch.ones_like(x), 2 * x, 2 * y], -1), ~opd.isnan()
+    path = torch.where(valid, opd, 0.0)
+    normal = torch.einsum("...p,pj,pk->...jk", valid.to(opd.dtype), terms, terms)
+    strength = torch.linalg.eigvalsh(normal)
+    determined = strength[..., 0] > _WEAKEST * strength[..., -1]
+    normal = torch.where(determined[..., None, None], normal, torch.eye(3, dtype=opd.dtype))
+    coefficients = torch.linalg.solve(normal, (path @ terms)[..., None])[..., 0]
+    squared = torch.where(valid, path - coefficients @ terms.mT, 0.0).square().sum(-1)
+    return torch.where(determined, torch.sqrt(squared / valid.sum(-1).clamp(min=1)), torch.nan)

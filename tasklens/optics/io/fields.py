@@ -9,7 +9,6 @@ from torch import Tensor
 
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.spots import chief_rays
-from tasklens.optics.apertures import with_open_apertures
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -59,7 +58,7 @@ def _tangent_of_image_height(lens: Lens, view: View, height: float) -> float:
     Raises:
         InputError: no chief ray arrives at this height.
     """
-    unclipped = with_open_apertures(lens)
+    unclipped = lens.with_open_apertures()
 
     def beyond(*tangents: float) -> list[float]:
         """Return how far the chief rays arrive beyond `height` [mm]; NaN for lost rays."""

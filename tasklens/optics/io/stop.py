@@ -6,7 +6,7 @@ from pathlib import Path
 
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import check_object
+from tasklens.optics.analysis.pupil import launch_fields, rim
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
@@ -15,6 +15,7 @@ from tasklens.runtime.files import FileError
 
 _FASTEST = 0.5  # F-number; a lens that obeys the sine condition is slower
 _ROUNDING = 1e-3  # relative, of a radius in a file
+_RIM = 16  # rays per field for the test whether an object is in the lens
 
 
 def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> float:
@@ -55,9 +56,8 @@ def check_radius(source: Prescription, path: Path) -> None:
 def check_speed(lens: Lens, view: View) -> None:
     """Raise InputError if a near object is in the lens, or if the beam on the axis is too fast."""
     if view.object_vergence:
-        check_object(lens, view)
-    scale = float(image_scale(lens, view)) if view.object_vergence else 1.0
-    f_number = abs(scale * float(paraxial(lens, view.reference_um).f_number))
+        launch_fields(lens, view, rim(_RIM))
+    f_number = abs(float(image_scale(lens, view)) * float(paraxial(lens, view.reference_um).f_number))
     if f_number < _FASTEST:
         raise InputError(
             f"F/{f_number:.2g}: faster than F/{_FASTEST}, the limit of a lens that obeys the sine condition, and of "

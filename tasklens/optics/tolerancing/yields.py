@@ -11,7 +11,6 @@ from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
-from tasklens.optics.apertures import with_clear_apertures
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.errors import Error, draw, errors, with_errors
@@ -71,7 +70,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
         InputError: no light arrives at some field of the design, or its focal length is not positive.
     """
     check_focal_length(lens, view.reference_um, "tolerances need")
-    lens = with_clear_apertures(lens.detached(), _RIM * lit_semi_diameters(lens, view))
+    lens = lens.detached().with_clear_apertures(_RIM * lit_semi_diameters(lens, view))
     error_list = errors(lens, grade)
     moved_um = displacements(lens, view, error_list, _RAYS)
     if not moved_um.isfinite().all():

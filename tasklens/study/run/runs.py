@@ -15,8 +15,8 @@ from typing import Any
 
 import psutil
 
-from tasklens.runtime import progress_file
 from tasklens.runtime.files import FileError, write_text
+from tasklens.runtime.progress import read_progress
 from tasklens.study.run.forecast import Durations, duration
 
 WAITING, RUNNING, DONE, FAILED = "waiting", "running", "done", "failed"
@@ -103,7 +103,7 @@ class Run:
 
     def progress(self, label: str) -> Mapping[str, Any] | None:
         """Read the progress of a job; None if it has not written any yet."""
-        return progress_file.read(self.folder, label)
+        return read_progress(self.folder, label)
 
     def describe(self, label: str, durations: Durations) -> str:
         """Describe a running job in one line: phase, step, values and time left."""
