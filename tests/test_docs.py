@@ -104,3 +104,11 @@ def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
 def test_links_lead_to_files(page):
     for target in re.findall(r"\]\((?!https?:|#|mailto:)([^)#\s]+)", page.read_text(encoding="utf-8")):
         assert (page.parent / target).exists(), target
+
+
+def test_the_page_of_keys_has_all_keys_of_a_study(monkeypatch):
+    """`python tools/study_keys.py` writes it."""
+    monkeypatch.syspath_prepend(ROOT / "tools")
+    import study_keys
+
+    assert study_keys.PAGE.read_text(encoding="utf-8") == study_keys.page()
