@@ -24,45 +24,29 @@ from typing import Any
 # torch itself raises this warning at the first forward-mode derivative of a process.
 warnings.filterwarnings("ignore", "`torch.jit.script` is deprecated", FutureWarning)
 
-__all__ = [
-    "Camera",
-    "InputError",
-    "Lens",
-    "PsfCamera",
-    "Ranking",
-    "SensorSettings",
-    "View",
-    "analyse",
-    "design_lens",
-    "draw",
-    "frozen",
-    "lens",
-    "load_lens",
-    "psf",
-    "rank",
-    "save_lens",
-    "simulate",
-    "simulate_whole_sensor",
-    "trace",
-]
-
-_MODULES = {  # of names that are not in tasklens.api
-    "InputError": "tasklens.runtime.errors",
-    "Lens": "tasklens.optics.lens",
-    "PsfCamera": "tasklens.camera.imaging",
-    "Ranking": "tasklens.api.ranking",
-    "SensorSettings": "tasklens.settings.capture_settings",
-    "View": "tasklens.optics.view",
-    "frozen": "tasklens.recognition.classifiers",
+_NAMES = {  # public names by module
+    "tasklens.api.camera": ("Camera",),
+    "tasklens.api.captures": ("simulate", "simulate_whole_sensor"),
+    "tasklens.api.design": ("design_lens",),
+    "tasklens.api.lenses": ("analyse", "draw", "lens", "load_lens", "psf", "save_lens", "trace"),
+    "tasklens.api.ranking": ("Ranking", "rank"),
+    "tasklens.camera.imaging": ("PsfCamera",),
+    "tasklens.optics.lens": ("Lens",),
+    "tasklens.optics.view": ("View",),
+    "tasklens.recognition.classifiers": ("frozen",),
+    "tasklens.runtime.errors": ("InputError",),
+    "tasklens.settings.capture_settings": ("SensorSettings",),
 }
+_MODULES = {name: module for module, names in _NAMES.items() for name in names}
+__all__ = sorted(_MODULES)
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use: `import tasklens` alone imports neither torch nor numba."""
     if name == "__version__":
         return import_module("importlib.metadata").version("tasklens")
-    if name in __all__:
-        return getattr(import_module(_MODULES.get(name, "tasklens.api")), name)
+    if name in _MODULES:
+        return getattr(import_module(_MODULES[name]), name)
     raise AttributeError(f"module 'tasklens' has no attribute {name!r}")
 
 

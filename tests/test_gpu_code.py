@@ -11,7 +11,7 @@ from torch.utils._python_dispatch import _disable_current_modes
 
 import tasklens
 from restoration import training as restoration
-from tasklens import api
+from tasklens.api import ranking as api_ranking
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design.criteria import JointTaskLoss, TaskLoss
 from tasklens.design.objective import Objective
@@ -95,7 +95,7 @@ def ranking(device, start) -> list[float]:
     pairs = [(image.float() / 255, int(label)) for image, label in zip(images.images, images.labels, strict=True)]
     with pytest.MonkeyPatch.context() as patch:
         for name in ("means", "paraxial"):
-            patch.setattr(api.ranking, name, without_mode(getattr(api.ranking, name)))
+            patch.setattr(api_ranking, name, without_mode(getattr(api_ranking, name)))
         result = tasklens.rank({"start": (start, VIEW)}, pairs, small_network(0).to(device), rays=64)
     return [result.sharp, *result.correct["start"].to_numpy().ravel().tolist()]
 

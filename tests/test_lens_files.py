@@ -11,6 +11,7 @@ import yaml
 from examples import cooke_triplet, f64, make_lens
 
 import tasklens
+from tasklens.api.lenses import described
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.io import lens_files, prescription, zemax
@@ -166,7 +167,7 @@ def test_assumptions_are_warnings_in_python(tmp_path):
 def test_a_near_object_is_where_a_lens_file_of_ours_has_it(tmp_path):
     lens_data = Prescription(cooke_triplet(), object_distance_mm=300.0)
     view = View(f64([[0.0, 0.0], [0.0, 10.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
-    prescription.write(tmp_path / "lens.yaml", lens_data, tasklens.api.described(lens_data.lens, view, rays=64))
+    prescription.write(tmp_path / "lens.yaml", lens_data, described(lens_data.lens, view, rays=64))
     assert lens_files.read(tmp_path / "lens.yaml").view.object_vergence == 1 / 300
 
 
@@ -176,7 +177,7 @@ def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     view = View(f64([[0.0, 0.0], [0.0, 2.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
     near = refocus(cooke_triplet(), view)
     lens_data = prescription.with_system_data(Prescription(near, object_distance_mm=300.0), view)
-    lens_files.write(tmp_path / name, lens_data, tasklens.api.described(near, view, rays=64))
+    lens_files.write(tmp_path / name, lens_data, described(near, view, rays=64))
     assert torch.equal(lens_files.read(tmp_path / name).lens.thickness, near.thickness)
     with pytest.warns(UserWarning, match="object at 300 mm in the file: refocused for infinity"):
         far, _ = tasklens.load_lens(tmp_path / name, object_distance_mm=numpy.float32(math.inf))

@@ -265,7 +265,7 @@ def test_a_class_may_be_called_by_a_number(tmp_path):
     rows = "3,7,sharp,,False,a,7,90.0,\n3,7,lens,axis,False,a,7,80.0,20\n3,7,lens,axis,False,b,007,80.0,20\n"
     write(tmp_path / "answers.csv", head + rows)
     (example,) = captures.read(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
-    assert [answer.right for answer in example.captures["lens", False][0].answers] == [True, False]
+    assert [answer["right"] for answer in example.captures["lens", False][0].answers] == [True, False]
     assert example.label == "7"
 
 

@@ -132,6 +132,7 @@ UNUSED = {  # by jobs
     "captures": ("numba", "matplotlib", "torchvision.transforms.v2"),
     "psf_tail": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib"),
     "certificate": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
+    "drawing": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
     "restore": ("numba", "pandas", "matplotlib"),
     "production": ("torchvision.transforms.v2", "matplotlib"),
     "reference": ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2"),
@@ -142,7 +143,7 @@ UNUSED = {  # by jobs
 CHAINS = [  # each job leaves out at least what the next ones do, so that one process imports them in turn
     ["images", "reference", "classify", "captures", "production"],
     ["restore", "design"],
-    ["psf_tail", "certificate"],
+    ["psf_tail", "certificate", "drawing"],
 ]
 
 

@@ -9,26 +9,3 @@ which it is evaluated. Lengths are in mm; wavelengths, pixels and spots are in u
     tasklens.analyse(lens, view)["rms_centroid_um"]
     captures = tasklens.simulate(lens, view, "photograph.jpg")
 """
-
-from tasklens.api.camera import Camera
-from tasklens.api.captures import simulate, simulate_whole_sensor
-from tasklens.api.design import design_lens
-from tasklens.api.lenses import analyse, described, draw, lens, load_lens, psf, save_lens, trace
-from tasklens.api.ranking import Ranking, rank
-
-__all__ = [
-    "Camera",
-    "Ranking",
-    "analyse",
-    "described",
-    "design_lens",
-    "draw",
-    "lens",
-    "load_lens",
-    "psf",
-    "rank",
-    "save_lens",
-    "simulate",
-    "simulate_whole_sensor",
-    "trace",
-]

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
+import tasklens
 from tasklens.cli.lens import Diffraction, File, Rays
 from tasklens.cli.options import Seed, reader, with_options
 from tasklens.cli.outputs import Force, new_file, progress_bars, remarks_about, say
@@ -70,7 +71,6 @@ def simulate(
     force: Force = False,
 ) -> None:
     """Simulate the capture of an image at one field, or with --whole-sensor over the whole sensor."""
-    from tasklens import api
     from tasklens.settings.capture_settings import SensorSettings
     from tasklens.show import image_files
 
@@ -91,11 +91,11 @@ def simulate(
             "rays": rays,
         }
         with progress_bars(), remarks_about(file):
-            captures = api.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
+            captures = tasklens.simulate_whole_sensor(lens.lens, lens.view, image, pitch, **options)[None]
         say(f"{image}: pixels of {pitch:g} um" if pitch else f"{image}: scaled to fill the sensor")
     else:
         with remarks_about(file):
-            captures = api.simulate(
+            captures = tasklens.simulate(
                 lens.lens,
                 lens.view,
                 image,

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+import tasklens
 from tasklens.cli.options import Catalogues, Configuration, FieldOfView, Seed, reader, with_options
 from tasklens.cli.outputs import (
     AsJson,
@@ -152,13 +153,12 @@ def psf(
     force: Force = False,
 ) -> None:
     """Compute the point spread functions at nine fields and each wavelength."""
-    from tasklens import api
     from tasklens.show import image_files
 
     new_file(output, force, ".npz", ".safetensors", ".png")
     lens = read(file)
     with remarks_about(file):
-        grid = api.psf(lens.lens, lens.view, rays, diffraction)
+        grid = tasklens.psf(lens.lens, lens.view, rays, diffraction)
     image_files.write_psf(output, grid, lens.lens, lens.view)
     say(f"wrote {output}")
 

@@ -6,6 +6,7 @@ from tasklens.settings import names
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.field_settings import Points, radii
 from tasklens.settings.frozen import Frozen
+from tasklens.settings.names import SHARP
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
@@ -14,7 +15,7 @@ from tasklens.study import tables as paper_tables
 from tasklens.study.claims import Claims, PaperClaim
 from tasklens.study.descriptions import description
 from tasklens.study.loading import dump
-from tasklens.study.study import Study, StudyError
+from tasklens.study.study import RankingSettings, Study, StudyError
 from tasklens.study.sweep import points
 from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, SeededMeasurements
 
@@ -122,6 +123,47 @@ class TailsJob(SeededLenses):
         specs = {lens: study.lens_spec(lens) for lens in lenses}
         keys = {"study": study.name, "lenses": lenses, "seeds": study.seeds, "rays": study.evaluation_rays}
         return cls(**keys, specs=specs, fields=study.fields.grading_points)
+
+
+class RankingJob(SeededMeasurements):
+    """The table and the page of a ranking.
+
+    Attributes:
+        study: name of the study.
+        model: name of the network in timm, or its function.
+        facts: the section `ranking` of the study; its `mtf` includes the lenses that the sieve left out.
+        sieved: lenses that the sieve left out.
+        grade: tolerance grade of the lenses that are built in simulation.
+        epochs: epochs of fine-tuning of the network on each lens.
+    """
+
+    study: str
+    model: str
+    facts: RankingSettings
+    sieved: tuple[str, ...]
+    grade: str
+    epochs: float
+
+    @classmethod
+    def of(cls, study: Study) -> "RankingJob":
+        """Return the settings of the job."""
+        lenses = paper_tables.table(study, "table1").lenses
+        return cls(
+            study=study.name,
+            lenses=lenses,
+            seeds=study.seeds[:1],
+            measured=tuple((lens, study.supervisor) for lens in (SHARP, *lenses)),
+            model=study.classifier(study.supervisor).model,
+            facts=study.ranking,
+            sieved=tuple(name for name in study.ranking.mtf if name not in study.lenses),
+            grade=study.tolerances.grade.name,
+            epochs=study.fine_tuning.epochs,
+        )
+
+    @property
+    def built_keys(self) -> list[LensKey]:
+        """Lenses that are built in simulation."""
+        return [LensKey(lens, *self.seeds) for lens in self.facts.built]
 
 
 class MeritFunctionJob(SeededLenses):

@@ -14,7 +14,6 @@ from tasklens.study import effort as paper_effort
 from tasklens.study import tables as paper_tables
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study.loading import parts, whole_study_name
-from tasklens.study.ranking import RankingJob
 from tasklens.study.study import StudyError
 from tasklens.study.tables import LensKey, MeasuredKey
 

@@ -48,7 +48,7 @@ rule drawing:
     resources:
         **needs("drawing"),
     params:
-        **call("tasklens.study.jobs.certificate.draw"),
+        **call("tasklens.study.jobs.drawing.run"),
         settings=settings(report_jobs.DrawingJob.of),
     script:
         "../scripts/job.py"

@@ -119,10 +119,10 @@ rule effort_table:
 rule ranking_table:
     """Rank lenses by the accuracy of the supervisor: a table, and a page."""
     input:
-        lenses=files_of(rules.design.output.lens, RankingJob.of),
-        metrics=files_of(rules.fine_tune.output.metrics, RankingJob.of, "measured_keys"),
-        predicted=files_of(rules.fine_tune.output.predictions, RankingJob.of, "measured_keys"),
-        built=files_of(rules.production.output.lenses, RankingJob.of, "built_keys"),
+        lenses=files_of(rules.design.output.lens, report_jobs.RankingJob.of),
+        metrics=files_of(rules.fine_tune.output.metrics, report_jobs.RankingJob.of, "measured_keys"),
+        predicted=files_of(rules.fine_tune.output.predictions, report_jobs.RankingJob.of, "measured_keys"),
+        built=files_of(rules.production.output.lenses, report_jobs.RankingJob.of, "built_keys"),
     output:
         csv=report_output("results/{study}/tables/ranking.csv", "ranking", table="ranking"),
         md="results/{study}/tables/ranking.md",
@@ -135,7 +135,7 @@ rule ranking_table:
         **needs("ranking_table"),
     params:
         **call("tasklens.study.report.ranking.make"),
-        settings=settings(RankingJob.of),
+        settings=settings(report_jobs.RankingJob.of),
     script:
         "../scripts/job.py"
 

@@ -1,4 +1,4 @@
-"""Certificate of a lens: figures, aberrations, limits, manufacturability and plots; its Zemax file; its drawing."""
+"""Certificate of a lens: figures, aberrations, limits, manufacturability and plots; and its Zemax file."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +12,7 @@ from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.runtime.files import write_text
 from tasklens.show import certificate, figures
 from tasklens.show.panel import Panel
-from tasklens.study.report_jobs import CertificateJob, DrawingJob
+from tasklens.study.report_jobs import CertificateJob
 
 _RAYS = 256  # per field and colour, for sensitivities
 
@@ -47,8 +47,3 @@ def run(
     )
     catalogue.touch()  # already written if the lens has a glass of its own
     figures.draw_parts(Panel.read(settings.lens, lens, psf), section, spots, psfs, curves)
-
-
-def draw(settings: DrawingJob, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
-    """Draw the lens in one figure, as PNG, SVG and PDF."""
-    figures.save(figures.figure_of([Panel.read(settings.lens, lens, psf)]), [figure, figure_svg, figure_pdf])

@@ -1,6 +1,5 @@
 """The table of one ablation: accuracies of a design and its variants."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import pandas
@@ -8,7 +7,7 @@ import pandas
 from tasklens.show.publish import publish
 from tasklens.study.claims import AblationClaims
 from tasklens.study.report import answers_file, verdicts
-from tasklens.study.report.measurements import Measurements
+from tasklens.study.report.measurements import MeasurementFiles, Measurements
 
 _NOTE = """\
 Study `{study}`. Difference: accuracy minus that of `{base}` [points], with its 95 % interval over test images{seeds}.
@@ -35,18 +34,10 @@ def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.Data
     return pandas.DataFrame(rows).merge(comparison, on="lens", how="left")
 
 
-def make(
-    ablation: AblationClaims,
-    lenses: Sequence[Path],
-    metrics: Sequence[Path],
-    predictions: Sequence[Path],
-    csv: Path,
-    md: Path,
-    answers: Path,
-) -> None:
+def make(ablation: AblationClaims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
     """Write the table as CSV and Markdown, and the answers from which its intervals can be recomputed."""
     claims = ablation.claims
-    measurements = Measurements.of_claims(claims, lenses, metrics, predictions)
+    measurements = Measurements.of(claims, files)
     rows = collect(ablation, measurements)
     answers_file.write(answers, claims, measurements)
     note = _NOTE.format(

@@ -12,7 +12,7 @@ from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
 from tasklens.runtime.files import damaged, read_table, read_yaml
 from tasklens.show import predictions
 from tasklens.study.claims import Claim, Claims
-from tasklens.study.tables import LensKey, MeasuredKey
+from tasklens.study.tables import LensKey, MeasuredKey, SeededMeasurements
 
 FIELD = "accuracy_field"  # beginning of the columns of accuracy by field
 LEAST_ENERGY = 0.5  # inside the PSF window, mean over fields; a design with less failed
@@ -28,6 +28,15 @@ def lens_values(content: Mapping[str, Any]) -> dict[str, float]:
 
 
 @dataclass(frozen=True)
+class MeasurementFiles:
+    """Files of lenses, metrics and predictions, as rules name them."""
+
+    lenses: Sequence[Path]
+    metrics: Sequence[Path]
+    predictions: Sequence[Path]
+
+
+@dataclass(frozen=True)
 class Measurements:
     """Files of lenses, of metrics, predictions and frozen losses."""
 
@@ -37,14 +46,12 @@ class Measurements:
     frozen: Mapping[MeasuredKey, Path] = field(default_factory=dict)
 
     @classmethod
-    def of_claims(
-        cls, claims: Claims, lenses: Sequence[Path], metrics: Sequence[Path], predictions: Sequence[Path]
-    ) -> "Measurements":
-        """Return the measurements that claims compare, from files in the order of their keys."""
+    def of(cls, contents: Claims | SeededMeasurements, files: MeasurementFiles) -> "Measurements":
+        """Return the measurements of claims or tables, from files in the order of their keys."""
         return cls(
-            dict(zip(claims.lens_keys, lenses, strict=True)),
-            dict(zip(claims.measured_keys, metrics, strict=True)),
-            dict(zip(claims.measured_keys, predictions, strict=True)),
+            dict(zip(contents.lens_keys, files.lenses, strict=True)),
+            dict(zip(contents.measured_keys, files.metrics, strict=True)),
+            dict(zip(contents.measured_keys, files.predictions, strict=True)),
         )
 
     def lens_file(self, lens: str, seed: int) -> dict[str, Any]:

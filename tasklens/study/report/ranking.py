@@ -16,7 +16,7 @@ from tasklens.show.figures import section_svg
 from tasklens.show.publish import publish
 from tasklens.show.ranking import Rank
 from tasklens.show.tolerance_page import distribution
-from tasklens.study.ranking import RankingJob
+from tasklens.study.report_jobs import RankingJob
 
 _NOTE = """\
 Study `{study}`, network {model}{tuned}, {images} photographs, each at {fields} fields. Intervals are 95 % over the

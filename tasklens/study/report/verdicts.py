@@ -25,7 +25,7 @@ from tasklens.show import between_fields, bootstrap, predictions
 from tasklens.show.publish import publish
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.report import answers_file
-from tasklens.study.report.measurements import LEAST_ENERGY, Measurements, least_accuracy
+from tasklens.study.report.measurements import LEAST_ENERGY, MeasurementFiles, Measurements, least_accuracy
 
 LEAST_SEEDS = 5  # with three, t(2) = 4.30 makes intervals too wide
 HOLDS, FAILS, UNDECIDED, SUGGESTS = "holds", "does not hold", "undecided", "suggests"
@@ -205,17 +205,9 @@ def seeds_phrase(claims: Claims) -> str:
     return " and seeds" if len(claims.seeds) > 1 else ""
 
 
-def make(
-    claims: Claims,
-    lenses: Sequence[Path],
-    metrics: Sequence[Path],
-    predictions: Sequence[Path],
-    csv: Path,
-    md: Path,
-    answers: Path,
-) -> None:
+def make(claims: Claims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
     """Write the verdicts as CSV and Markdown, and the answers from which they can be recomputed."""
-    measurements = Measurements.of_claims(claims, lenses, metrics, predictions)
+    measurements = Measurements.of(claims, files)
     rows = collect(claims, measurements)
     answers_file.write(answers, claims, measurements)
     margin = max((claim.margin for claim in claims.claims), default=0.0)

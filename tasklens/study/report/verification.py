@@ -18,7 +18,7 @@ from tasklens.settings import names
 from tasklens.settings.names import SHARP
 from tasklens.show import predictions
 from tasklens.show.optimality import optimum
-from tasklens.study.report.measurements import Measurements
+from tasklens.study.report.measurements import MeasurementFiles, Measurements
 from tasklens.study.tables import MeasuredKey, TableContents, VerificationContents
 
 Reproduced = Mapping[MeasuredKey, Path]  # predictions
@@ -142,9 +142,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
 
 def run(
     settings: VerificationContents,
-    lenses: Sequence[Path],
-    metrics: Sequence[Path],
-    predictions: Sequence[Path],
+    files: MeasurementFiles,
     reproduced: Sequence[Path],
     tables: Sequence[Path],
     verdicts: Path,
@@ -152,12 +150,11 @@ def run(
     """Print the verdicts and the results; exit with status 1 if there are failures.
 
     Args:
-        lenses, metrics, predictions, reproduced: files of the keys of `settings`.
+        reproduced: predictions of `settings.measured_keys`.
         tables: CSV files of `settings.tables`.
     """
-    files = (dict(zip(settings.measured_keys, paths, strict=True)) for paths in (metrics, predictions, reproduced))
-    metric_files, prediction_files, reproduced_files = files
-    measurements = Measurements(dict(zip(settings.lens_keys, lenses, strict=True)), metric_files, prediction_files)
+    measurements = Measurements.of(settings, files)
+    reproduced_files = dict(zip(settings.measured_keys, reproduced, strict=True))
     table_names = (contents.name for contents in settings.tables)
     findings = verify(settings, measurements, reproduced_files, dict(zip(table_names, tables, strict=True)))
     print(verdicts.read_text(encoding="utf-8"))

@@ -173,10 +173,11 @@ def _charts(
     Args:
         by_seed: rows of table 1 by seed, if the study has it.
     """
-    drawn = []
+    drawn: list[charts.Chart | None] = []
     if by_seed is not None:
         drawn.append(charts.accuracy_over_rms(frames["table1"]))
-        drawn += [charts.accuracy_by_radius(name, by_seed, settings.radii, settings.design_radii) for name in elements]
+        radii = settings.radii, settings.design_radii
+        drawn += [charts.accuracy_by_radius(name, by_seed, *radii) for name in elements]
     if "tolerances_compared" in frames and len(losses := frames["tolerances_compared"]):
         labels = [f"{row['lens']} − {row['baseline']}" for row in losses.to_dict("records")]
         drawn.append(charts.differences("tolerances", "What is lost in manufacture, task less image", losses, labels))
