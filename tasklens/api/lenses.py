@@ -17,9 +17,8 @@ from tasklens.optics.analysis.datasheet import figures, spec_of
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
+from tasklens.optics.analysis.spots import evaluation_psf, light_remarks, trace_fields
 from tasklens.optics.io import lens_files
-from tasklens.optics.io.light import light_remarks
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.io.typed import typed
 from tasklens.optics.io.zemax_glasses import NamedGlasses

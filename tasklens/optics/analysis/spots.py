@@ -1,9 +1,10 @@
-"""Rays on the image plane: chief rays, spots, ray fans, distortion, clear apertures and PSFs.
+"""Rays on the image plane: chief rays, spots, ray fans, distortion, clear apertures, PSFs and lost light.
 
 Lost rays are NaN in a spot diagram and left out of an RMS. Energies are fractions of the light that passes the clear
 apertures, as in a PSF (`passing`): vignetted rays are left out, and other lost rays are outside every radius.
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,12 +14,12 @@ from tasklens.optics.analysis.diffraction import diffraction_psf
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.rays import Rays, passing
+from tasklens.optics.rays import Rays, describe_loss, passing
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
 _LIGHT = 64  # rays per field for the test whether any light arrives
-_RIM = 64  # number of rim rays for semi-diameters
+_RIM = 64  # number of marginal rays for semi-diameters and for losses on the axis
 _NEAR_AXIS = 1e-4  # field angle [rad] of chief rays near the axis
 _LIT = 4096  # rays for the illuminated radii of a lens that vignettes
 _CENTRE = torch.zeros(1, 2, dtype=torch.float64)  # pupil point of chief rays
@@ -214,3 +215,32 @@ def with_vignetting_aperture(lens: Lens, view: View, surface: int, loss: float) 
     semi_diameter = lens.semi_diameter.clone()
     semi_diameter[surface] = smallest_aperture(heights[..., :_RAYS], weight, heights[view.radii.argmin()], loss)
     return replace(lens, semi_diameter=semi_diameter)
+
+
+def axial_beam(lens: Lens, view: View) -> Rays:
+    """Trace the marginal rays (1, 1, N) of the axis at the middle wavelength to the image plane."""
+    on_axis = replace(view.in_reference(), fields=torch.zeros_like(view.fields[:1]))
+    return trace_fields(lens, on_axis, rim(_RIM))
+
+
+def light_remarks(lens: Lens, view: View) -> list[str]:
+    """Return remarks on marginal rays lost on the axis, and on fields of which the chief ray or no light arrives."""
+    view = view.in_reference()
+    chief = chief_rays(lens, view)
+    light = has_light(lens, view)
+    remarks = []
+    beam = axial_beam(lens, view)
+    if light.all() and not beam.valid.all():
+        where = describe_loss(beam, ~beam.valid)
+        remarks.append(f"marginal rays on the axis are lost {where}: the F-number is that of the stop alone")
+    for arrives, effect in (
+        (light, "no light arrives"),
+        (chief.valid[:, 0, 0] | ~light, "the chief ray does not arrive"),
+    ):
+        if not arrives.all():
+            angle = math.degrees(math.atan(float(view.radii[~arrives].min()) / view.efl))
+            count = f"{int((~arrives).sum())} of {len(light)} fields, from {angle:.1f} degrees on"
+            lost = ~chief.valid & ~arrives[:, None, None]
+            reason = f": it is lost {describe_loss(chief, lost)}" if lost.any() else ""
+            remarks.append(f"{effect} at {count}{reason}")
+    return remarks

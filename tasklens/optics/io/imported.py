@@ -2,14 +2,10 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
-import torch
-
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import rim
-from tasklens.optics.analysis.spots import chief_rays, trace_fields
+from tasklens.optics.analysis.spots import axial_beam, chief_rays
 from tasklens.optics.io import prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import stop_radius
@@ -87,8 +83,7 @@ def size(lens: Lens, spec: Mapping[str, Any], reference_um: float) -> tuple[floa
 
 def _check_light(lens: Lens, view: View, f_number: float, name: str) -> None:
     """Check that no ray of the axial beam, which fills the stop, and no chief ray is lost; raises FileError."""
-    on_axis = replace(view.in_reference(), fields=torch.zeros(1, 2, dtype=view.fields.dtype))
-    beam = trace_fields(lens, on_axis, rim(64))
+    beam = axial_beam(lens, view)
     if not beam.valid.all():
         where = describe_loss(beam, ~beam.valid)
         raise FileError(f"{name}: not fast enough for F/{f_number:g}: a marginal ray on the axis is lost {where}")

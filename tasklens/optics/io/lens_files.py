@@ -12,12 +12,12 @@ from pydantic import ValidationError
 from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
+from tasklens.optics.analysis.focus import place_image_plane
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop
+from tasklens.optics.analysis.spots import light_remarks
 from tasklens.optics.io import consistency, prescription, zemax
 from tasklens.optics.io.fields import field_tangents
-from tasklens.optics.io.image_plane import place_image_plane
-from tasklens.optics.io.light import light_remarks
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
 from tasklens.optics.lens import Lens
@@ -84,7 +84,7 @@ def read(
         configuration: of a .zmx file with several; None: the one in which it was saved.
         wavelengths_um: wavelengths that replace those of the file; the middle one is the reference [um].
         field_of_view_deg, f_number, pixel_pitch_um, kernel_size: values of `Spec` that replace those of the file.
-        focus: place of the image plane, as in `image_plane.place_image_plane`.
+        focus: place of the image plane, as in `focus.place_image_plane`.
 
     Raises:
         InputError: an object distance that is not positive.
