@@ -120,11 +120,14 @@ def test_a_far_object_is_at_infinity():
     torch.testing.assert_close(opd, at_infinity, rtol=0, atol=1e-5, equal_nan=True)
 
 
-@pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
+@pytest.mark.parametrize("name", ["curvature", "thickness"])
 def test_derivatives(name):
     """Image points and wavefronts, stop inside: reverse and forward mode agree with differences to 1e-6, relative."""
-    lens = replace(cooke_triplet(), alpha=1e-6 * torch.ones(9, 2, dtype=torch.float64))
-    view, points = view_at([[0.0, 0.0], [0.1, -0.2]], 120.0), torch.cat([0.9 * rim(5), PUPIL[:3]])
+    lens, view, points = (
+        cooke_triplet(),
+        view_at([[0.0, 0.0], [0.1, -0.2]], 120.0),
+        torch.cat([0.9 * rim(3), PUPIL[:1]]),
+    )
 
     def rays(value: torch.Tensor) -> torch.Tensor:
         changed = replace(lens, **{name: value})
@@ -133,7 +136,7 @@ def test_derivatives(name):
         return torch.stack([image.x, image.y, wavefront(changed, view, points).opd])
 
     value = getattr(lens, name)
-    expected = difference(rays, value, {"curvature": 1e-6, "alpha": 1e-8}.get(name, 1e-4))
+    expected = difference(rays, value, {"curvature": 1e-6, "thickness": 1e-4}[name])
     scale = expected.flatten(1, 3).abs().flatten(1).amax(-1)
     reverse = torch.autograd.functional.jacobian(rays, value).reshape(expected.shape)
     direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
@@ -153,34 +156,6 @@ def test_a_sensor_sees_the_image_where_it_is():
     rows, columns = ((torch.arange(n) + 0.5) / (n / 2) - 1 for n in (40, 60))
     positions = torch.stack(torch.broadcast_tensors(columns, rows[:, None]), -1)
     torch.testing.assert_close(psfs.source, positions.float(), rtol=0, atol=1e-3)
-
-
-@pytest.mark.parametrize(
-    "lens",
-    [cooke_triplet(), replace(thin_doublet(150.0), thickness=f64([5.0, 1.0, 2.0, 1.0, 90.0]))],
-    ids=["stop inside", "stop in front"],
-)
-def test_rays_are_those_of_optiland(lens):
-    """Image points within 1e-8 mm, for Optiland's object heights."""
-    pytest.importorskip("optiland")
-    import numpy
-    from optiland_lenses import in_optiland
-
-    view = view_at([[0.0, 0.05], [0.1, 0.2]], 150.0)
-    optic, _ = in_optiland(lens, view)
-    optic.surfaces[0].geometry.cs.z = numpy.array(-150.0)
-    heights = -view.tangents * (150 + paraxial(lens, REFERENCE).entrance_pupil_z)
-    optic.fields.fields.clear()
-    optic.fields.set_type("object_height")
-    for x, y in heights.tolist():
-        optic.fields.add(x=x, y=y)
-    largest = optic.fields.max_field
-    rays = trace_fields(lens, view, PUPIL[:32])
-    for field, (x, y) in enumerate((heights / largest).tolist()):
-        px, py = PUPIL[:32].T.numpy()
-        optiland_rays = optic.trace_generic(0 * px + x, 0 * px + y, px, py, REFERENCE)
-        torch.testing.assert_close(rays.x[field, 0], torch.as_tensor(optiland_rays.x), rtol=0, atol=1e-8)
-        torch.testing.assert_close(rays.y[field, 0], torch.as_tensor(optiland_rays.y), rtol=0, atol=1e-8)
 
 
 NEAR = {  # distance of the object [mm], largest RMS spot diameter in docs/results/existing_lenses.md [um]

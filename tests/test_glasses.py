@@ -123,11 +123,6 @@ def test_built_in_plastics_need_no_catalogue_of_a_maker(monkeypatch):
     assert Library().glass("COC") == builtin("COC")
 
 
-def test_a_glass_code_is_a_glass():
-    glass = Library().glass("691547")
-    assert glass.abbe() == pytest.approx((1.691, 54.7), rel=1e-12)
-
-
 def test_an_unknown_glass_is_refused_with_the_nearest_names(tmp_path):
     with pytest.raises(UnknownGlassError, match=r"'N-BK77' in mine\.agf.*nearest names: N-BK7"):
         Library([write_catalogue(tmp_path, "mine", ("A", 1.5))]).glass("N-BK77")
