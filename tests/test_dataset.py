@@ -154,18 +154,6 @@ def test_a_photograph_looks_alike_in_every_format(name):
     assert difference == 0 if lossless else difference < 5
 
 
-def test_the_formats_of_the_photographs():
-    """By format and mode in the files: several decoders and every conversion are tested."""
-    kinds = set()
-    for path in PHOTOGRAPHS.iterdir():
-        with Image.open(path) as image:
-            kinds.add((image.format, image.mode, image.getexif().get(0x0112, 1)))
-    assert kinds >= {("JPEG", mode, 1) for mode in ("RGB", "L", "CMYK")} | {("JPEG", "RGB", 6)}
-    assert kinds >= {("PNG", mode, 1) for mode in ("RGB", "P", "I;16")} | {
-        ("WEBP", mode, 1) for mode in ("RGB", "RGBA")
-    }
-
-
 def test_the_central_square_is_kept(tmp_path):
     """An image of 30 x 10 pixels with white ends becomes its black middle."""
     folder = make_folder(tmp_path)
