@@ -28,22 +28,21 @@ def with_indices(indices: dict | None, name: str = "reference") -> Material:
     return Material(name, "schott", (*coefficients, 0.0, 0.0, 0.0), (0.4, 0.8))
 
 
-def reference_lens(path: Path, apertures: bool = False) -> Lens:
-    """The lens of a file, with the stop of its F-number; clear apertures only on request."""
+def reference_lens(path: Path) -> Lens:
+    """The lens of a file without clear apertures, with the stop of its F-number."""
     content = json.loads(path.read_text())
     surfaces = content["surfaces"][:-1]  # without the image plane
     alpha = torch.zeros(len(surfaces), 10, dtype=torch.float64)
     for i, surface in enumerate(surfaces):
         for power, value in surface["even_asphere"].items():
             alpha[i, int(power) // 2 - 1] = value
-    clear = [surface["semi_diameter"] if apertures else None for surface in surfaces]
     (stop,) = (i for i, surface in enumerate(surfaces) if surface["stop"])
     lens = Lens(
         f64([surface["c"] for surface in surfaces]),
         f64([surface["k"] for surface in surfaces]),
         alpha,
         f64([surface["thickness_after"] for surface in surfaces]),
-        f64([value or math.inf for value in clear]),
+        f64([math.inf for _ in surfaces]),
         tuple(with_indices(surface["n"]) for surface in surfaces),
         stop,
     )

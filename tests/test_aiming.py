@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-import torch.autograd.forward_ad as fwAD
 from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
 from reference_lenses import INNER_STOPS, LENS_FILES, reference_lens, reference_view
 
@@ -15,7 +14,7 @@ from tasklens.optics.analysis.continuation import stop_is_curved
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
-from tasklens.optics.analysis.spots import chief_points, chief_rays_full, trace_fields
+from tasklens.optics.analysis.spots import chief_points, trace_fields
 from tasklens.optics.lens import Lens, Melt
 from tasklens.optics.rays import Rays, RayStatus, launch
 from tasklens.optics.tracing.trace import trace, trace_full
@@ -77,71 +76,34 @@ def test_rays_hit_the_stop_at_their_pupil_points(path, points):
     assert_on_stop(lens, rays, points, view.wavelengths_um)
 
 
-def test_lenses_of_every_kind_are_there():
-    assert len(INNER_STOPS) >= 7
-    assert {path.parent.name for path in INNER_STOPS} == {"cellphone", "classical"}
+def curved_front() -> Lens:
+    """An element whose front is the stop: rays meet it, not its vertex plane, at their pupil points."""
+    media = (model_glass(1.6, 60.0, 0.0), "air")
+    return make_lens([1 / 20, -1 / 60], [8.0, 25.0], media, conic=[-0.5, 0.0], semi_diameter=[9.0, torch.inf])
 
 
-@pytest.mark.parametrize("make", [reverse_telephoto, curved_stop])
-def test_stops_of_other_kinds(make):
-    lens, tangents = make(), tangents_of(0, 10, 20)
+@pytest.mark.parametrize(
+    "make, angles", [(reverse_telephoto, (0, 30, 50, 60, 70)), (curved_stop, (0, 10, 20)), (curved_front, (0, 5, 12))]
+)
+def test_stops_of_other_kinds(make, angles):
+    """70 degrees off the axis the paraxial entrance pupil of a wide-angle lens misses the real one altogether."""
+    lens, tangents = make(), tangents_of(*angles)
     for points in (FEW, MANY):
         rays = launch_fields(lens, view_at(tangents), points)
-        assert rays.valid.all()
+        assert rays.valid.all() and trace(lens, rays, lens.refractive_indices(WAVELENGTHS)).valid.all()
         assert_on_stop(lens, rays, points, WAVELENGTHS)
 
 
-def test_a_wide_angle_lens_keeps_its_full_field():
-    """70 degrees off the axis the paraxial entrance pupil misses the real one altogether."""
-    lens, tangents = reverse_telephoto(), tangents_of(0, 30, 50, 60, 70)
-    indices = lens.refractive_indices(WAVELENGTHS)
-    aimed = launch_fields(lens, view_at(tangents), MANY)
-    assert_on_stop(lens, aimed, MANY, WAVELENGTHS)
-    assert trace(lens, aimed, indices).valid.all()
-    first_order = paraxial(lens, WAVELENGTHS[1])
-    point = MANY * first_order.entrance_pupil_radius - tangents[:, None, None] * first_order.entrance_pupil_z
-    unaimed = replace(aimed, x=point[..., 0].expand_as(aimed.x), y=point[..., 1].expand_as(aimed.x))
-    shares = trace(lens, unaimed, indices).valid.double().mean((1, 2)).tolist()
-    assert shares[0] > 0.9 and shares[2] < 0.6 and shares[4] == 0
-
-
-def test_a_curved_first_surface_is_filled_as_a_stop():
-    """Rays meet the curved stop itself, not its vertex plane, at their pupil points, and pass."""
-    glass = model_glass(1.6, 60.0, 0.0)
-    lens = make_lens([1 / 20, -1 / 60], [8.0, 25.0], (glass, "air"), conic=[-0.5, 0.0], semi_diameter=[9.0, torch.inf])
-    rays = launch_fields(lens, view_at(f64([[0.0, 0.0], [0.1, 0.2]])), FEW)
-    _, behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))
-    assert behind[0].valid.all()
-    for coordinate, expected in ((behind[0].x, FEW[:, 0]), (behind[0].y, FEW[:, 1])):
-        torch.testing.assert_close(coordinate, (9.0 * expected).expand_as(coordinate), rtol=0, atol=1e-12)
-
-
-def test_the_chief_ray_passes_the_centre_of_the_stop():
-    lens = reverse_telephoto()
-    view = view_at(tangents_of(0, 30, 70))
-    stop_rays = chief_rays_full(lens, view)[2][lens.stop]
-    assert float(torch.hypot(stop_rays.x, stop_rays.y).max()) < 1e-13
-
-
-@pytest.mark.parametrize("dtype", [torch.float64, torch.float32], ids=["float64", "float32"])
 @pytest.mark.parametrize("path", INNER_STOPS, ids=lambda path: path.stem)
-def test_rays_on_the_rim_pass_the_stop(path, dtype):
-    """In double precision, and after rounding to single precision."""
-    lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0))
+def test_rays_on_the_rim_pass_the_stop(path):
+    """Also after rounding to single precision."""
+    lens, view = reference_lens(path), reference_view(path, (0.0, 0.7))
     names = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
-    lens = replace(lens, **{name: getattr(lens, name).to(dtype) for name in names})
-    rays = launch_fields(lens, view, rim(64))
-    assert rays.x.dtype == dtype
+    lens = replace(lens, **{name: getattr(lens, name).float() for name in names})
+    rays = launch_fields(lens, view, rim(16))
+    assert rays.x.dtype == torch.float32
     image = trace(lens, rays, lens.refractive_indices(view.wavelengths_um))
     assert not (rays.valid & (image.lost_at >= 0) & (image.lost_at <= lens.stop)).any()
-
-
-def test_a_smaller_stop_is_the_inner_part_of_the_pupil():
-    lens, tangents = reverse_telephoto(), tangents_of(0, 50)
-    inner = launch_fields(lens, view_at(tangents), 0.5 * FEW)
-    stopped = launch_fields(lens.with_stop_scaled(0.5), view_at(tangents), FEW)
-    for name in ("x", "y"):
-        torch.testing.assert_close(getattr(stopped, name), getattr(inner, name), rtol=0, atol=1e-13)
 
 
 # ---- only if it is needed
@@ -225,22 +187,22 @@ def test_derivatives_through_aiming(make, name):
     along = (expected * direction).flatten(4).sum(-1)
     forward = torch.func.jvp(image, (value,), (direction,))[1]
     torch.testing.assert_close(forward, along, rtol=0, atol=1e-6 * scale)
-    with fwAD.dual_level():
-        dual = fwAD.unpack_dual(image(fwAD.make_dual(value, direction))).tangent
-    torch.testing.assert_close(dual, forward, rtol=0, atol=1e-12 * scale)
 
 
 def test_derivatives_of_bundles_that_a_polynomial_starts():
-    """Derivative of a sum over many rays with respect to all curvatures and spaces at once."""
+    """Derivative of a sum over many rays with respect to all curvatures, spaces and glass melts at once."""
     lens = reverse_telephoto()
     generator = torch.Generator().manual_seed(6)
-    directions = {name: torch.randn(5, generator=generator, dtype=torch.float64) for name in ("curvature", "thickness")}
+    names = ("curvature", "thickness", "shift")
+    directions = {name: torch.randn(5, generator=generator, dtype=torch.float64) for name in names}
 
     def merit(t: torch.Tensor) -> torch.Tensor:
-        changed = replace(lens, **{name: getattr(lens, name) + t * d for name, d in directions.items()})
+        shape = {name: getattr(lens, name) + t * directions[name] for name in names[:2]}
+        melt = Melt(t * directions["shift"], torch.zeros(5, dtype=torch.float64), 0.5876)
+        changed = replace(lens, **shape, melt=melt)
         rays = launch_fields(changed, view_at(tangents_of(0, 40)), MANY)
         opened = replace(changed, semi_diameter=torch.full_like(lens.semi_diameter, torch.inf))
-        rays = trace(opened, rays, lens.refractive_indices(WAVELENGTHS))
+        rays = trace(opened, rays, changed.refractive_indices(WAVELENGTHS))
         return (rays.x.square() + rays.y.square()).mean()
 
     zero, one = f64([0.0]), f64([1.0])
@@ -317,8 +279,7 @@ WIDE = (reverse_telephoto, (0, 30, 60), 1.0)
 NORMAL = (cooke_triplet, (0, 10, 20), 7.0)
 
 
-@pytest.mark.parametrize("clipped", [False, True])
-@pytest.mark.parametrize("make, angles, half_width", [WIDE, NORMAL])
+@pytest.mark.parametrize("make, angles, half_width, clipped", [(*WIDE, False), (*NORMAL, True)])
 def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, clipped):
     """Compared with 400 x 400 rays over the first surface: within 5e-3 if no aperture cuts the pupil, else 0.02.
 
@@ -335,23 +296,3 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
     expected = light / light[0]
     illumination = relative_illumination(lens, view)
     torch.testing.assert_close(illumination, expected, rtol=0, atol=0.02 if clipped else 5e-3)
-
-
-def test_an_inner_stop_is_recognised():
-    assert aiming.stop_is_inside(cooke_triplet()) and not aiming.stop_is_inside(random_lens(0))
-
-
-def test_derivatives_by_refractive_indices():
-    """Of a glass melt, alone: rays are aimed again."""
-    lens = cooke_triplet()
-    shift = torch.zeros(len(lens.media), dtype=torch.float64)
-
-    def merit(shift: torch.Tensor) -> torch.Tensor:
-        melted = replace(lens, melt=Melt(shift, torch.zeros_like(shift), 0.5876))
-        rays = launch_fields(melted, view_at(tangents_of(0, 20)), MANY)
-        opened = replace(melted, semi_diameter=torch.full_like(lens.semi_diameter, torch.inf))
-        return trace(opened, rays, melted.refractive_indices(WAVELENGTHS)).y.sum()
-
-    derivative = torch.autograd.functional.jacobian(merit, shift)
-    expected = difference(merit, shift, 1e-5)
-    torch.testing.assert_close(derivative, expected.reshape(derivative.shape), rtol=1e-6, atol=1e-6)

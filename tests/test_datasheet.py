@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import pytest
 import torch
-import yaml
 from examples import cooke_triplet, f64, lens_and_view, make_lens
 
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
@@ -204,8 +203,3 @@ def test_certificate_shows_the_numbers_of_the_file(lens, lens_figures):
     assert "worst margin" not in certificate.markdown(
         "a lens", view.fields.tolist(), {"figures": lens_figures}, by_surface
     )
-
-
-def test_figures_survive_a_plain_yaml(lens_figures):
-    """Plain numbers only, no tensors: any YAML reader can load them."""
-    assert yaml.safe_load(yaml.safe_dump(lens_figures)) == lens_figures

@@ -1,6 +1,5 @@
 """Descent on a classifier's loss, and properties of every finished design."""
 
-import copy
 from dataclasses import replace
 
 import pytest
@@ -46,43 +45,35 @@ def whole_losses(criterion, captures, images, labels):
 
 
 @pytest.mark.parametrize("colour", ["srgb", "linear"])
-@pytest.mark.parametrize("micro_batch", [1, 7, 16, 64])
+@pytest.mark.parametrize("micro_batch", [7, 64])
 @pytest.mark.parametrize("supervised_by", ["classifier", "image", "log image"])
 def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_by):
-    """dL/dPSF from micro-batches of 45 captures, carried through the rays, equals backward through all at once."""
+    """dL/dPSF from micro-batches of 45 captures, carried through the rays, equals backward through all at once.
+
+    Micro-batches may split fields; the loss is the weighted mean of the fields.
+    """
     dataset, network = random_images(5, 16, 3, seed=0), tiny_network().eval().requires_grad_(False)
     criterion = TaskLoss(network) if supervised_by == "classifier" else ImageError("log" in supervised_by)
     images, labels = dataset.batch(torch.arange(5))
-    variables = Variables.plain(start)
+    variables, weights = Variables.plain(start), torch.linspace(0.5, 1.5, 9)
     gradients = []
     for in_stages in (True, False):
         values = {name: v.requires_grad_() for name, v in variables.values().items()}
         grid = coarse_psfs(variables.assemble(values))
         if in_stages:
+            capture = CaptureSettings(colour=colour)
             losses, upstream = loss_at_psf(
-                criterion, images, labels, grid.float(), CaptureSettings(colour=colour), micro_batch
+                criterion, images, labels, grid.float(), capture, micro_batch, weights=weights
             )
             grid.backward(upstream.double())
         else:
-            direct_losses = whole_losses(criterion, PsfCamera(grid, colour=colour).all_fields(images), images, labels)
-            direct_losses.mean().backward()
+            captures = PsfCamera(grid, colour=colour).all_fields(images)
+            direct = whole_losses(criterion, captures, images, labels).mean(1) * weights
+            direct.mean().backward()
         gradients.append(torch.cat([values[name].grad for name in values]))
-    torch.testing.assert_close(losses, direct_losses.mean(1).detach().to(losses), rtol=1e-5, atol=0)
+    torch.testing.assert_close(losses, direct.detach().to(losses), rtol=1e-5, atol=0)
     assert float(gradients[1].abs().max()) > 0
     torch.testing.assert_close(gradients[0], gradients[1], rtol=1e-4, atol=1e-5 * float(gradients[1].abs().max()))
-
-
-def test_weights_of_fields_are_those_of_the_gradient(start):
-    """In micro-batches that split fields: the gradient is that of the weighted mean loss."""
-    dataset, network = random_images(5, 16, 3, seed=0), tiny_network().eval().requires_grad_(False)
-    images, labels = dataset.batch(torch.arange(5))
-    grid, weights = coarse_psfs(start).detach().float(), torch.linspace(0.5, 1.5, 9)
-    losses, gradient = loss_at_psf(TaskLoss(network), images, labels, grid, CaptureSettings(), 7, weights=weights)
-    leaf = grid.clone().requires_grad_()
-    direct = whole_losses(TaskLoss(network), PsfCamera(leaf).all_fields(images), images, labels).mean(1) * weights
-    direct.mean().backward()
-    torch.testing.assert_close(losses, direct.detach(), rtol=1e-5, atol=0)
-    torch.testing.assert_close(gradient, leaf.grad, rtol=1e-4, atol=1e-5 * float(leaf.grad.abs().max()))
 
 
 class Contrast(nn.Module):
@@ -106,14 +97,6 @@ def test_a_design_may_see_smaller_images(start):
     torch.testing.assert_close(*means, rtol=0, atol=2.0 / 255)
     noise = (images.double().std((1, 2, 3)) for images in (small, whole))
     assert (next(noise) < 0.7 * next(noise)).all()
-
-
-def test_end_to_end_design_moves_the_network_too(start):
-    network = tiny_network()
-    before = copy.deepcopy(network.state_dict())
-    lens, _ = adamw_descent(network, start)
-    assert all(not torch.equal(v, before[k]) for k, v in network.state_dict().items())
-    assert not torch.equal(lens.curvature, start.curvature)
 
 
 def test_a_descent_that_destroys_a_lens_returns_its_best(start):

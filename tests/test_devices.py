@@ -104,8 +104,3 @@ def test_one_thread_for_small_matrices(two_threads):
     with devices.single_thread():
         assert threads() == {1}
     assert threads() == {2}
-
-
-def test_networks_compute_in_single_precision_on_the_cpu():
-    with devices.half_precision(torch.device("cpu")):
-        assert torch.mm(torch.ones(2, 2), torch.ones(2, 2)).dtype == torch.float32

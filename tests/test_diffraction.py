@@ -145,13 +145,14 @@ def test_a_rim_that_is_given_up(monkeypatch, alpha_10, moved_mm, share):
     assert float((profile - expected).abs().max() / expected.max()) < share
 
 
-@pytest.mark.parametrize("name", ["US-12032142-B2-e3", pytest.param("US-12078784-B2-e6", marks=pytest.mark.slow)])
-def test_against_huygens_in_optiland(name):
-    """Phone lenses on the axis and off it: within 1 % of the peak. Optiland samples the pupil on a grid of 128 rays."""
+def test_against_huygens_in_optiland():
+    """A phone lens on the axis and off it: within 1 % of the peak. Optiland samples the pupil on a grid of 128 rays."""
     optiland = pytest.importorskip("optiland_lenses")
     from optiland.psf import HuygensPSF
 
-    imported = zemax.read(SHIPPED / f"lenses/cellphone/source/{name}.zmx", list((SHIPPED / "glass").glob("*.AGF")))
+    imported = zemax.read(
+        SHIPPED / "lenses/cellphone/source/US-12032142-B2-e3.zmx", list((SHIPPED / "glass").glob("*.AGF"))
+    )
     lens, channel = imported.lens, imported.primary
     is_stop = torch.arange(len(lens.semi_diameter)) == lens.stop
     lens = replace(lens, semi_diameter=torch.where(is_stop, lens.semi_diameter, torch.inf))
@@ -160,9 +161,9 @@ def test_against_huygens_in_optiland(name):
     optic, fields = optiland.in_optiland(lens, view)
     for field, optiland_field in enumerate(map(tuple, fields)):
         psf = HuygensPSF(
-            optic, optiland_field, view.wavelengths_um[channel], num_rays=128, image_size=40, pixel_pitch=0.8e-3
+            optic, optiland_field, view.wavelengths_um[channel], num_rays=128, image_size=20, pixel_pitch=1.6e-3
         )
-        x = torch.linspace(-16e-3, 16e-3, 40, dtype=torch.float64)
+        x = torch.linspace(-16e-3, 16e-3, 20, dtype=torch.float64)
         values = irradiance(lens, view, field, channel, x + float(psf.cx), x + float(psf.cy)).flatten()
         reference = f64(numpy.asarray(psf.psf)).flatten()
         scale = (values @ reference) / (reference @ reference)  # unit of Optiland: 100 at the peak of a perfect lens

@@ -1,4 +1,4 @@
-"""A finished study: verification, its failures, and the page in a browser."""
+"""A finished study: files of its jobs, verification, its failures, and the page in a browser."""
 
 import contextlib
 import json
@@ -8,6 +8,7 @@ from pathlib import Path
 
 import browser
 import pytest
+import torch
 import yaml
 from examples import read_rows, tiny_study
 from rules import finish, outputs
@@ -15,7 +16,9 @@ from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.common.by import By
 from selenium.webdriver.support.ui import WebDriverWait
 
+from tasklens.cli.app import main
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
+from tasklens.runtime.job import user_error
 from tasklens.settings.names import split
 from tasklens.settings.starts import imaging_designs
 from tasklens.study import tables
@@ -64,8 +67,79 @@ def measured_path(output: str, lens: str, measured_name: str = "small") -> Path:
     return getattr(outputs("fine_tune", STUDY, lens=lens, measured_name=measured_name, seed=0), output)
 
 
-def accuracies(path: Path) -> list[float]:
-    return [float(row["value"]) for row in read_rows(path) if row["metric"] == "accuracy"]
+def values(path: Path, metric: str) -> list[float]:
+    return [float(row["value"]) for row in read_rows(path) if row["metric"] == metric]
+
+
+def design_outputs(name: str):
+    return outputs("design", STUDY, lens=f"singlet-{name}", seed=0)
+
+
+def content_of(name: str) -> dict:
+    return yaml.safe_load(design_outputs(name).lens.read_text())
+
+
+def test_every_design_leaves_a_readable_lens(finished):
+    """A prescription with its spec, origin, figures and margins, and a history; `analyse` prints the same numbers."""
+    for name in STUDY.designs:
+        content = content_of(name)
+        assert [s["medium"] for s in content["surfaces"]] == ["air", "COC", "air"]
+        assert content["origin"]["design"] == name and content["spec"]["kernel_size"] == 11
+        assert len(content["figures"]["rms_centroid_um"]) == 9
+        assert content["worst_margin"]["value"] == min(content["margins"].values())
+        assert read_rows(design_outputs(name).history)
+    phases = [row["phase"] for row in read_rows(design_outputs("tasklens").history)]
+    first = [f"descent 1, lens {k} of 2" for k in (1, 1, 2, 2)]
+    assert phases == first + ["descent 2"] * 2 + ["descent 3", "descent 4"]
+
+
+def test_analyse_prints_the_table_of_a_lens_file(finished, capsys):
+    """From the prescription and the spec in the file, without a study: the numbers that the design wrote."""
+    content = content_of("imaging1")
+    capsys.readouterr()
+    assert main(["lens", "analyse", str(design_outputs("imaging1").lens), "--rays", "64"]) == 0
+    printed = capsys.readouterr().out
+    assert f"{content['figures']['efl_mm']:.4f}" in printed and content["worst_margin"]["limit"] in printed
+    assert all(f" {value:.2f} |" in printed for value in content["figures"]["rms_centroid_um"])
+
+
+def test_design_from_imaging_begins_with_the_better_lens(finished):
+    baselines = [f"singlet-{name}" for name in imaging_designs(STUDY.designs)]
+    accuracies = {name: sum(values(measured_path("metrics", name), "minival_accuracy")) for name in baselines}
+    start = content_of("end_to_end_from_imaging")["origin"]["start"]
+    assert accuracies[start] == max(accuracies.values())
+
+
+def test_psf_file_says_what_it_holds(finished):
+    """3 colours, 11 x 11 pixels, and five sets of fields; the metadata's energies are the sums of the PSFs."""
+    tensors, notes = read_tensors(outputs("psfs", STUDY, lens="singlet-imaging1", seed=0).psf)
+    counts = {name: end - start for name, (start, end, _) in notes["sets"].items()}
+    assert counts == {"training": 72, "selection": 36, "grading": 64, "nine": 9, "corner": 1}
+    fields = sum(counts.values())
+    assert tensors["psf"].shape == (fields, 3, 11, 11) and tensors["psf"].dtype == torch.float32
+    assert len(notes["fields_mm"]) == fields and len(notes["wavelengths_um"]) == 3 and notes["pixel_pitch_um"] == 1.8
+    torch.testing.assert_close(torch.tensor(notes["energy_inside"]), tensors["psf"].sum((-2, -1)))
+
+
+def test_metrics_are_tidy(finished):
+    """Fields of the grading, of the selection, and the corner; the images themselves have one field and no PSNR."""
+    through, sharp = measured_path("metrics", "singlet-imaging1"), measured_path("metrics", "sharp")
+    counts = {"accuracy": 16, "psnr_db": 16, "worst_psnr_db": 16, "minival_accuracy": 9, "corner_accuracy": 1}
+    assert {metric: len(values(through, metric)) for metric in counts} == counts
+    assert values(through, "chance") == [10.0]
+    assert len(values(sharp, "accuracy")) == 1 and values(sharp, "psnr_db") == []
+    restored = measured_path("metrics", "singlet-imaging1", "small-restored")
+    assert values(restored, "psnr_db") != values(through, "psnr_db")
+    for path, key in ((sharp, ("", "reference", "False")), (through, ("singlet", "imaging1", "False"))):
+        assert {(row["elements"], row["design"], row["restored"]) for row in read_rows(path)} == {key}
+    assert {row["restored"] for row in read_rows(restored)} == {"True"}
+
+
+def test_a_training_that_is_not_finite_is_a_message_too(finished):
+    diverging = {"epochs": 20, "learning_rate": 10, "weight_decay": 100, "batch_size": 20}
+    with pytest.raises(FloatingPointError, match=r"^fine-tune: .*lower its learning_rate$") as caught:
+        finish("fine_tune", parse(TINY | {"fine_tuning": diverging}), lens="sharp", measured_name="small", seed=0)
+    assert user_error(caught.value) == str(caught.value)
 
 
 def test_predictions_are_kept(finished):
@@ -75,7 +149,7 @@ def test_predictions_are_kept(finished):
     assert [row["image"] for row in rows] == [str(k) for k in range(20)]
     assert [row["label"] for row in rows] == [labels["classes"][k] for k in labels["labels"]]
     means = [100 * sum(int(row[f"field{k}"]) for row in rows) / 20 for k in range(16)]
-    assert means == pytest.approx(accuracies(measured_path("metrics", "singlet-imaging1")))
+    assert means == pytest.approx(values(measured_path("metrics", "singlet-imaging1"), "accuracy"))
     assert {*rows[0]} == {"image", "label", *(f"field{k}" for k in range(16)), "corner0"}
     assert list(read_rows(measured_path("predictions", "sharp"))[0]) == ["image", "label", "field0"]
 
@@ -91,8 +165,7 @@ def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_
     printed = capsys.readouterr().out
     violated: dict[str, set] = {"failed": set(), "unconstrained": set()}
     for name in STUDY.designs:
-        path = outputs("design", STUDY, lens=f"singlet-{name}", seed=0).lens
-        margins = yaml.safe_load(path.read_text())["margins"]
+        margins = content_of(name)["margins"]
         label = "unconstrained" if name == "end_to_end_from_flat" else "failed"
         violated[label] |= {
             f"{label}: singlet-{name} seed 0: {limit}" for limit, value in margins.items() if value < -1e-6
@@ -142,7 +215,8 @@ def test_tails_of_all_lenses(finished):
 def page(finished):
     """The page of the study."""
     for name in STUDY.designs:
-        finish("certificate", STUDY, lens=f"singlet-{name}", seed=0)
+        certificate = finish("certificate", STUDY, lens=f"singlet-{name}", seed=0).page.read_text()
+        assert certificate.startswith(f"# singlet-{name}, seed 0\n") and "## Manufacturability" in certificate
     finish("captures", STUDY)
     finish("effort_table", STUDY)
     return finished / finish("report_page", STUDY).report

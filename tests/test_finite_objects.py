@@ -120,11 +120,14 @@ def test_a_far_object_is_at_infinity():
     torch.testing.assert_close(opd, at_infinity, rtol=0, atol=1e-5, equal_nan=True)
 
 
-@pytest.mark.parametrize("name", ["curvature", "thickness", "alpha"])
+@pytest.mark.parametrize("name", ["curvature", "thickness"])
 def test_derivatives(name):
     """Image points and wavefronts, stop inside: reverse and forward mode agree with differences to 1e-6, relative."""
-    lens = replace(cooke_triplet(), alpha=1e-6 * torch.ones(9, 2, dtype=torch.float64))
-    view, points = view_at([[0.0, 0.0], [0.1, -0.2]], 120.0), torch.cat([0.9 * rim(5), PUPIL[:3]])
+    lens, view, points = (
+        cooke_triplet(),
+        view_at([[0.0, 0.0], [0.1, -0.2]], 120.0),
+        torch.cat([0.9 * rim(3), PUPIL[:1]]),
+    )
 
     def rays(value: torch.Tensor) -> torch.Tensor:
         changed = replace(lens, **{name: value})
@@ -133,7 +136,7 @@ def test_derivatives(name):
         return torch.stack([image.x, image.y, path_differences(changed, view, points)])
 
     value = getattr(lens, name)
-    expected = difference(rays, value, {"curvature": 1e-6, "alpha": 1e-8}.get(name, 1e-4))
+    expected = difference(rays, value, {"curvature": 1e-6, "thickness": 1e-4}[name])
     scale = expected.flatten(1, 3).abs().flatten(1).amax(-1)
     reverse = torch.autograd.functional.jacobian(rays, value).reshape(expected.shape)
     direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)

@@ -86,10 +86,9 @@ def grazes(surface: Surface, point, direction, last: float, first: float) -> boo
 
 
 @pytest.mark.parametrize("path", LENS_FILES, ids=lambda path: path.stem)
-@pytest.mark.parametrize("apertures", [False, True], ids=["open", "clear apertures"])
-def test_published_lenses(path, apertures):
+def test_published_lenses(path):
     """Every ray of three fields at every surface, inside and outside the clear apertures."""
-    lens, view = reference_lens(path, apertures), reference_view(path, (0.0, 0.7, 1.0)).in_reference()
+    lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0)).in_reference()
     start = launch_fields(lens, view, sobol_disc(24, seed=1))
     _, record = trace_full(lens, start, lens.refractive_indices(view.wavelengths_um))
     reach = 2 * float(lens.thickness.abs().max()) + 2 * float(lens.semi_diameter[lens.stop])
@@ -122,74 +121,29 @@ def random_surface(generator: torch.Generator) -> Lens:
 
 
 @pytest.mark.parametrize("tracer", [trace, reference_trace])
-@pytest.mark.parametrize("seed", range(12))
-def test_random_aspheres(seed, tracer):
+def test_random_aspheres(tracer):
     """Steep rays to heights where the polynomials turn over: met and missed rays, and rays that cross several times."""
-    generator = torch.Generator().manual_seed(seed)
-    lens = random_surface(generator)
-    x, y, tx, ty, z = 2 * torch.rand(5, 1, 100, generator=generator, dtype=torch.float64) - 1
-    n = torch.rsqrt(1 + tx**2 + ty**2)
-    start = launch(1.2 * x, 1.2 * y, 0.3 * z, tx * n, ty * n, n)
-    rays = tracer(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))
-    # Rays start on the stop plane; `after` has them on the asphere, before the image plane.
-    before = lens.surfaces[0].intersect(start)
-    before = replace(before, z=before.z - lens.thickness[0])
-    after = lens.surfaces[1].intersect(before) if tracer is reference_trace else last_rays(lens, start)
-    assert torch.equal(after.status == RayStatus.MISSED, rays.status == RayStatus.MISSED)
-    met, missed = assert_first(lens.surfaces[1], before, after, reach=4.0)
-    assert met > 20 and met + missed == 100
+    all_missed = 0
+    for seed in range(6):
+        generator = torch.Generator().manual_seed(seed)
+        lens = random_surface(generator)
+        x, y, tx, ty, z = 2 * torch.rand(5, 1, 100, generator=generator, dtype=torch.float64) - 1
+        n = torch.rsqrt(1 + tx**2 + ty**2)
+        start = launch(1.2 * x, 1.2 * y, 0.3 * z, tx * n, ty * n, n)
+        rays = tracer(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))
+        # Rays start on the stop plane; `after` has them on the asphere, before the image plane.
+        before = lens.surfaces[0].intersect(start)
+        before = replace(before, z=before.z - lens.thickness[0])
+        after = lens.surfaces[1].intersect(before) if tracer is reference_trace else last_rays(lens, start)
+        assert torch.equal(after.status == RayStatus.MISSED, rays.status == RayStatus.MISSED)
+        met, missed = assert_first(lens.surfaces[1], before, after, reach=4.0)
+        assert met > 20 and met + missed == 100
+        all_missed += missed
+    assert all_missed > 50
 
 
 def last_rays(lens: Lens, start: Rays) -> Rays:
     return trace_full(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))[1][-1]
-
-
-def test_random_aspheres_are_difficult():
-    """Some rays miss, and some have a second crossing that a tracer could take for the first."""
-    missed = several = 0
-    for seed in range(12):
-        generator = torch.Generator().manual_seed(seed)
-        surface = random_surface(generator).surfaces[1]
-        x, y, tx, ty, _ = 2 * torch.rand(5, 100, generator=generator, dtype=torch.float64) - 1
-        n = torch.rsqrt(1 + tx**2 + ty**2)
-        for i in range(100):
-            point, direction = (
-                numpy.array([1.2 * x[i], 1.2 * y[i], -0.7]),
-                numpy.array([tx[i] * n[i], ty[i] * n[i], n[i]]),
-            )
-            t = numpy.linspace(0, 4, SAMPLES)
-            sag, inside = profile(surface, (point[0] + t * direction[0]) ** 2 + (point[1] + t * direction[1]) ** 2)
-            crossings = numpy.diff(numpy.sign(point[2] + t * direction[2] - sag)[inside]) != 0
-            missed, several = missed + (not crossings.any()), several + (crossings.sum() > 2)
-    assert missed > 100 and several > 15
-
-
-@pytest.mark.parametrize("tracer", [trace, reference_trace])
-def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
-    """Surface 9 of US 9,201,216 B2: on this ray vertex plane and base conic are outside the asphere's domain."""
-    path = next((path for path in LENS_FILES if path.stem == "US9201216B2"), None)
-    if path is None:
-        pytest.skip("this lens is not distributed")
-    lens = reference_lens(path)
-    keep = [8, 9]
-    lens = make_lens(
-        lens.curvature[keep],
-        [0.0, 1.0],
-        ("air", "COC"),
-        conic=lens.conic[keep],
-        alpha=lens.alpha[keep].tolist(),
-    )
-    lens = replace(lens, curvature=lens.curvature * f64([0, 1]), alpha=lens.alpha * f64([[0], [1]]))
-    direction = f64([0.22995, 0.65083, 0.72356])
-    direction = direction / direction.norm()
-    point = f64([-0.46101, 0.81768, -0.43576])
-    start = launch(*point.reshape(3, 1, 1), *direction.reshape(3, 1, 1))
-    crossing = lens.surfaces[1].intersect(start)
-    assert crossing.valid.all() and float(crossing.path) == pytest.approx(0.2874, abs=1e-4)
-    zero = replace(start, z=start.z - start.z, x=start.x, y=start.y)  # launched on the plane of the first surface
-    shifted = replace(lens, thickness=torch.stack([-start.z.squeeze(), f64(1.0)]))
-    rays = tracer(shifted, zero, f64([[1.0], [1.0], [1.53]]))
-    assert int(rays.status) != RayStatus.MISSED
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])

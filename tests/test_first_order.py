@@ -5,16 +5,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, f64, make_lens, materials, parallel_rays, random_lens
+from examples import WAVELENGTHS, f64, make_lens, parallel_rays, random_lens
 
-from tasklens.design.start import flat
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields, rim, sobol_disc
-from tasklens.optics.analysis.spots import chief_points, trace_fields_full
-from tasklens.optics.tracing.trace import trace, trace_full
-from tasklens.optics.view import View, view_of_spec
-from tasklens.settings.specification import Constraints, Spec
+from tasklens.optics.analysis.pupil import gauss_quadrature, sobol_disc
+from tasklens.optics.tracing.trace import trace
 
 N = builtin("COC").refractive_index(0.5893)
 
@@ -39,14 +35,7 @@ def test_pupil_of_a_stop_behind_a_thin_lens():
     assert float(first_order.entrance_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
 
 
-def test_pupil_of_a_front_stop_is_the_stop():
-    lens = replace(random_lens(0), semi_diameter=f64([0.4, 9, 9, 9, 9]))
-    first_order = paraxial(lens, 0.5893)
-    assert float(first_order.entrance_pupil_z) == 0.0
-    assert float(first_order.entrance_pupil_radius) == 0.4
-
-
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("wavelength", WAVELENGTHS)
 def test_rays_close_to_the_axis_are_paraxial(seed, wavelength):
     """A real ray at height h << f leaves with slope -h / f and crosses the axis at the back focus, up to order h^3."""
@@ -59,16 +48,6 @@ def test_rays_close_to_the_axis_are_paraxial(seed, wavelength):
     assert float(ray.y) == pytest.approx(0, abs=cubic)
 
 
-def test_alpha_2_is_a_curvature():
-    """c r^2 / 2 = alpha_2 r^2: the paraxial trace cannot tell c from 2 alpha_2."""
-    lens = random_lens(2)
-    swapped = replace(lens, curvature=0 * lens.curvature, alpha=lens.alpha.clone())
-    swapped.alpha[:, 0] += lens.curvature / 2
-    for name in ("power", "bfl", "entrance_pupil_z"):
-        first, second = (float(getattr(paraxial(x, 0.5893), name)) for x in (lens, swapped))
-        assert first == pytest.approx(second, rel=1e-12, abs=1e-15)
-
-
 def test_afocal_lens_has_no_power_but_a_gradient():
     lens = make_lens([0.0, 0.0], [1.0, 1.0], ("COC", "air"))
     curvature = lens.curvature.clone().requires_grad_()
@@ -76,36 +55,6 @@ def test_afocal_lens_has_no_power_but_a_gradient():
     assert float(first_order.power.detach()) == 0 and math.isinf(float(first_order.efl.detach()))
     gradient = torch.autograd.grad(first_order.power, curvature)[0]
     torch.testing.assert_close(gradient, f64([N - 1, 1 - N]), rtol=1e-14, atol=0)
-
-
-def test_chief_rays_aim_at_the_centre_of_an_inner_stop():
-    """A bundle enters through the entrance pupil: behind a lens, its centre meets the stop's centre, up to order 3."""
-    c = 1 / 4.0 / (N - 1)
-    lens = make_lens([c, 0, 0], [0.3, 1.2, 2], ("COC", "air", "air"), semi_diameter=[9, 9, 0.6], stop=2)
-    tangent = 1e-3
-    rays = launch_fields(lens, View(f64([[tangent, -tangent]]), 1.0, (0.5893,), 9.0, 31), f64([[0.0, 0.0]]))
-    record = trace_full(lens, rays, lens.refractive_indices((0.5893,)))[1]
-    assert float(rays.x.abs()) > tangent
-    assert abs(float(record[2].x)) < 10 * tangent**3 and abs(float(record[2].y)) < 10 * tangent**3
-
-
-def test_chief_ray_through_the_centre_of_a_thin_lens_goes_straight():
-    """With the stop at a thin lens and the image at its focus, chief rays meet the pinhole points exactly."""
-    view = replace(view_of_spec(Spec()), wavelengths_um=(0.5893,))
-    c = 1 / view.efl / (N - 1)
-    lens = make_lens([0, c / 2, -c / 2], [0, 0, view.efl], ("air", "COC", "air"), semi_diameter=[0.3, 9, 9])
-    torch.testing.assert_close(chief_points(lens, view), view.fields, rtol=0, atol=1e-14)
-
-
-def test_bundles_fill_the_stop():
-    """Nothing refracts in front of the stop: the rim rays of every field meet its rim."""
-    view = view_of_spec(Spec())
-    lens = flat(materials("COC"), Spec(), Constraints())
-    record = trace_fields_full(lens, view, rim(16))[1]
-    radius = torch.hypot(record[0].x, record[0].y)
-    torch.testing.assert_close(radius, torch.full_like(radius, Spec().stop_radius_mm), rtol=0, atol=1e-15)
-    rays = launch_fields(lens, view, rim(16))
-    torch.testing.assert_close(rays.l / rays.n, view.tangents[:, 0, None, None].expand_as(rays.l), rtol=1e-14, atol=0)
 
 
 def test_sobol_points_are_uniform_over_the_disc():

@@ -11,7 +11,6 @@ from examples import (
     cooke_triplet,
     f64,
     make_lens,
-    parallel_rays,
     random_images,
     random_lens,
     random_rays,
@@ -31,7 +30,7 @@ from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_ra
 from tasklens.optics.io import imported, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.trace import trace, trace_full
+from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.training import fit as fit_network
 from tasklens.runtime.files import FileError
@@ -56,9 +55,8 @@ def fit_lens(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, 
 # ---- another size
 
 
-@pytest.mark.parametrize("factor", [0.3, 7.0])
-@pytest.mark.parametrize("seed", range(3))
-def test_a_scaled_lens_has_scaled_rays(seed, factor):
+@pytest.mark.parametrize("factor, seed", [(0.3, 0), (7.0, 1)])
+def test_a_scaled_lens_has_scaled_rays(factor, seed):
     """Points, paths, clear apertures and focal length grow with the lens; directions and lost rays are the same."""
     lens = replace(random_lens(seed), semi_diameter=f64([0.4, 0.5, torch.inf, 0.6, torch.inf]))
     rays = random_rays(300, seed)
@@ -74,16 +72,6 @@ def test_a_scaled_lens_has_scaled_rays(seed, factor):
     before, after = paraxial(lens, 0.5893), paraxial(lens.scaled(factor), 0.5893)
     for name in ("efl", "bfl", "entrance_pupil_z", "entrance_pupil_radius"):
         assert float(getattr(after, name)) == pytest.approx(factor * float(getattr(before, name)), rel=1e-12)
-
-
-def test_a_fitted_lens_has_the_focal_length_and_f_number_of_the_specification(tmp_path):
-    """By a real ray next to the axis: its slope, and its height in the stop."""
-    lens, _ = fit_lens(tmp_path, cooke_triplet())
-    h = 1e-5
-    ray, record = trace_full(lens, parallel_rays([h]), lens.refractive_indices((VIEW.reference_um,)))
-    assert -h / float(ray.m / ray.n) == pytest.approx(SPEC.efl_mm, rel=1e-8)
-    pupil_radius = float(lens.semi_diameter[lens.stop]) * h / float(record[lens.stop].y)
-    assert SPEC.efl_mm / (2 * pupil_radius) == pytest.approx(SPEC.f_number, rel=1e-8)
 
 
 def test_size_and_stop_of_the_file_do_not_matter(tmp_path):
@@ -222,6 +210,9 @@ def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
 # ---- errors
 
 
+DIVERGING = make_lens([0.0, -0.05, 0.0], [1.0, 1.0, 9.0], ("air", "COC", "air"))
+
+
 def narrow_front() -> Lens:
     lens = cooke_triplet()
     lens.semi_diameter[0] = 3.3
@@ -231,11 +222,7 @@ def narrow_front() -> Lens:
 @pytest.mark.parametrize(
     "lens, spec, words",
     [
-        (
-            make_lens([0.0, -0.05, 0.0], [1.0, 1.0, 9.0], ("air", "COC", "air")),
-            {},
-            ["focal length -", "expected a positive one"],
-        ),
+        (DIVERGING, {}, ["focal length -", "expected a positive one"]),
         (cooke_triplet(curvature=torch.zeros(9, dtype=torch.float64)), {}, ["focal length", "expected a positive one"]),
         (narrow_front(), {}, ["F/4", "axis", "clear aperture of surface 0"]),
         (narrow_front(), {"f_number": 8}, ["does not cover", "degrees", "clear aperture of surface 0"]),
