@@ -111,7 +111,7 @@ def test_a_check_of_networks_reads_their_weights(place, capsys):
     assert "no weights for test_resnet with 10 outputs" in capsys.readouterr().err
 
 
-def test_a_new_study_of_a_folder_without_splits(place):
+def test_a_new_study_of_a_folder_without_splits(place, unplanned):
     """A fifth of the photographs tests, a fifth of the others selects; check accepts the study."""
     for name in ("cat", "dog"):
         (place / "pets" / name).mkdir(parents=True)

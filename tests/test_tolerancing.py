@@ -246,7 +246,7 @@ def least_displacement_um(lens: Lens, changed: Lens, view: View) -> float:
     return best
 
 
-@pytest.mark.parametrize("name", ["radius 2", "thickness 1", "index 3", "surface decentre 4 y", "element tilt 1 x"])
+@pytest.mark.parametrize("name", ["radius 2", "index 3", "element tilt 1 x"])
 def test_displacements_are_those_of_lenses_that_are_off_and_refocused(name):
     """By derivative, and traced, against a search for the best image plane."""
     lens, view = doublet()

@@ -1,13 +1,11 @@
 """The wavefront at the exit pupil: perfect and defocused lenses, third-order theory, lateral colour, lost rays."""
 
-import math
 from dataclasses import replace
 
 import pytest
 import torch
 from examples import WAVELENGTHS, difference, f64, hyperboloid, make_lens, random_lens
 
-from tasklens.optics.analysis.aberrations import seidel_sums
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields
@@ -46,42 +44,6 @@ def test_a_perfect_lens_has_no_path_difference(lens):
     wave = wavefront(lens, view_at([[0.0, 0.0]]), PUPIL)
     assert float(wave.opd.abs().max()) < 1e-9 and wave.centre.abs().max() < 1e-12
     assert float(wave.towards.norm(dim=-1).max()) > 0.2
-
-
-def test_defocus_is_the_fourth_coefficient():
-    """W = d NA^2 p^2 / 2 for an image at d in front of the plane: Z4 = d NA^2 / (4 sqrt(3)) and piston d NA^2 / 4."""
-    shift, aperture = 0.4, 0.5 / 50
-    opd = wavefront(hyperboloid(shift), view_at([[0.0, 0.0]]), sobol_disc(1024, 0)).opd[0, 0]
-    expected = shift * aperture**2 / (1e-3 * REFERENCE) / 4
-    coefficients = zernike_coefficients(opd, sobol_disc(1024, 0), 11)
-    assert float(coefficients[3]) == pytest.approx(expected / math.sqrt(3), rel=1e-2)
-    assert float(coefficients[0]) == pytest.approx(expected, rel=1e-2)
-    assert coefficients[[1, 2, *range(4, 11)]].abs().max() < 1e-4
-    assert float(rms_wavefront_error(opd, sobol_disc(1024, 0))) == pytest.approx(float(coefficients[3]), rel=1e-2)
-
-
-@pytest.mark.parametrize("stop", [0, 2, 4])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
-    """W about the paraxial image point, distortion too; the remainder falls with the sixth power of the scale."""
-    pupil = 0.8 * PUPIL
-    px, py = pupil.unbind(-1)
-    square = px**2 + py**2
-    left, size = [], []
-    for scale in (1.0, 0.5):
-        lens = stopped(random_lens(seed), 0.05 * scale, stop)
-        view = view_at(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]))
-        s1, s2, s3, s4, s5 = (v.sum() for v in list(vars(seidel_sums(lens, view)).values())[:5])
-        h = (view.radii / view.radii.max())[:, None]
-        expected = s1 * square**2 / 8 + s2 * h * square * py / 2 + s3 * h**2 * py**2 / 2
-        expected = expected + (s3 + s4) * h**2 * square / 4 + s5 * h**3 * py / 2
-        ideal = view.tangents * paraxial(lens, REFERENCE).efl
-        opd = 1e-3 * REFERENCE * wavefront(lens, view, pupil, ideal).opd[:, 0]
-        left.append(float((opd - expected).abs().max()))
-        size.append(float(opd.abs().max()))
-    assert left[0] < 0.05 * size[0]
-    assert left[0] / left[1] == pytest.approx(64, rel=0.1)
-    assert size[0] / size[1] == pytest.approx(16, rel=0.1)
 
 
 def test_the_centre_of_the_sphere_is_a_tilt():
@@ -152,11 +114,10 @@ def test_an_exit_pupil_on_the_image_has_no_wavefront():
     assert wavefront(lens, view_at([[0.0, 0.0], [0.1, 0.2]]), PUPIL).opd.isnan().all()
 
 
-@pytest.mark.parametrize("stop", [0, 2])
 @pytest.mark.parametrize("name", ["curvature", "conic", "alpha", "thickness"])
-def test_gradients_are_those_of_differences(name, stop):
+def test_gradients_are_those_of_differences(name):
     """Gradients of coefficients and RMS at two fields and two colours, by every parameter of the lens."""
-    lens = stopped(random_lens(1), 0.2, stop)
+    lens = stopped(random_lens(1), 0.2, stop=2)
     view, pupil = view_at([[0.0, 0.05], [0.2, 0.1]], WAVELENGTHS[:2]), 0.8 * PUPIL
 
     def numbers(values: torch.Tensor) -> torch.Tensor:

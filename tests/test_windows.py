@@ -71,18 +71,14 @@ def test_a_camera_warns_once_when_training_loses_the_light(narrow):
         camera(torch.rand(2, 3, 64, 64))
 
 
-def test_a_design_says_so(narrow):
+def test_a_design_says_so(narrow, few_rays):
     settings = {"descents": {"0": {"steps": 1}}, "rays": 16}
     with pytest.warns(UserWarning, match=f"design_lens: the {WORDS}"):
         tasklens.design_lens("spot", start=narrow, settings=settings)
     images, network = random_images(40, 16, 3, seed=2), trained_network(0)
     settings = settings | {"batch_size": 2}
-    options = {
-        "images": images,
-        "network": network,
-        "settings": settings,
-    }
-    result = designs(LensRequest("task", start=narrow, **options), baselines=BASELINES)
+    request = LensRequest("task", start=narrow, images=images, network=network, settings=settings)
+    result = designs(request, baselines=BASELINES[:1])
     with pytest.warns(UserWarning, match=f"rank: task: the {WORDS}"):
         verdict(result, images)
 

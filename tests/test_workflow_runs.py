@@ -8,18 +8,12 @@ import time
 
 import pytest
 import yaml
-from examples import changed, read_rows, tiny_study, write
+from examples import changed, one_lens, read_rows, tiny_study, write
 from workflows import command, forked, plan, smoke_with_imported, snakemake
 
 from tasklens.cli.app import main
 from tasklens.study.loading import dump, load, parse
 from tasklens.study.run.forecast import Durations
-
-
-def one_lens() -> dict:
-    study = tiny_study()
-    return study | {"designs": {"imaging1": study["designs"]["imaging1"]}}
-
 
 STAGES_OF_TABLE_1 = {"images": 1, "reference": 1, "design": 1, "psfs": 1, "fine_tune": 2, "table": 1}
 
