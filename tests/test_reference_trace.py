@@ -104,28 +104,6 @@ def test_snells_law(seed, indices):
         assert torch.equal(position(behind), position(before))
 
 
-def test_paraboloid_focuses_in_reflection():
-    """All light along its axis goes through (0, 0, R / 2); n' = -n in Snell's law is the line of a mirror's ray."""
-    radius = 3.0
-    mirror = Surface(-1 / radius, conic=-1.0)
-    rays = mirror.refract(mirror.intersect(parallel_rays(torch.linspace(-1.5, 1.5, 31))), 1.0, -1.0)
-    at_focus = Surface(0.0).intersect(replace(rays, z=rays.z + radius / 2))
-    assert at_focus.valid.all()
-    assert_close(at_focus.y, 0.0, 1e-15)
-
-
-def test_hyperboloid_focuses_in_refraction():
-    """Leaving glass, a surface of conic -n^2 has no spherical aberration at R / (n - 1), and all paths are equal."""
-    n, radius = 1.5, 2.0
-    back = Surface(-1 / radius, conic=-(n**2))
-    rays = back.refract(back.intersect(parallel_rays(torch.linspace(-1.5, 1.5, 31)), n), n, 1.0)
-    focus = radius / (n - 1)
-    at_focus = Surface(0.0).intersect(replace(rays, z=rays.z - focus))
-    assert at_focus.valid.all()
-    assert_close(at_focus.y, 0.0, 4e-15)
-    assert_close(at_focus.path, focus, 4e-15)
-
-
 def test_statuses_of_rays_at_one_surface():
     """Missed: stays. Outside: on the surface. Reflected: on the surface and not turned. Lost before: not touched."""
     ball = Surface(1.0, semi_diameter=0.9)

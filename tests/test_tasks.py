@@ -9,7 +9,7 @@ import pytest
 import torch
 import yaml
 from designs import problem
-from examples import changed, random_images, read_rows, tiny_study, trained_network
+from examples import changed, read_rows, tiny_study
 from pydantic import ValidationError
 from rules import finish, job_of
 from torch import nn
@@ -22,7 +22,6 @@ from tasklens.recognition import object_scenes, object_splits, objects, task_net
 from tasklens.recognition.object_tasks import Detection, Segmentation
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections
-from tasklens.recognition.tasks import CLASSIFICATION
 from tasklens.runtime.errors import InputError
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.task_settings import SceneSettings, TaskSettings
@@ -166,15 +165,6 @@ def test_losses_have_gradients_at_captures(content):
     task.loss(network, captures, torch.arange(2), NOT_FLIPPED).backward()
     assert captures.grad is not None and captures.grad.isfinite().all() and captures.grad.abs().sum() > 0
     assert all(parameter.grad is None for parameter in network.parameters())
-
-
-def test_classification_is_a_task_too():
-    """The mean of its losses is its loss."""
-    dataset, network = random_images(40, 16, 3, seed=2), trained_network(0)
-    captures, labels = dataset.batch(torch.arange(5))
-    losses = CLASSIFICATION.losses(network, captures, labels).detach()
-    whole = CLASSIFICATION.loss(network, captures, labels, torch.zeros(5, dtype=torch.bool)).detach()
-    assert losses.shape == (5,) and float(losses.mean()) == pytest.approx(float(whole), rel=1e-6)
 
 
 def test_a_small_network_learns_where_objects_are():

@@ -8,7 +8,6 @@ import pytest
 import torch
 from examples import random_images, trained_network
 from PIL import Image
-from reference_files import SHARED
 
 import tasklens
 from tasklens.api.verdict import verdict
@@ -116,13 +115,3 @@ def test_half_of_the_light_is_enough():
     assert window_remark(energy_inside(grid), 3) == window_remark(torch.tensor([0.5]), 3) == ""
     grid[1, :2] *= 0.2
     assert "holds only 46.7 % of the light at the worst of 2 fields" in window_remark(energy_inside(grid), 3)
-
-
-def test_the_case_of_a_user(capsys):
-    """The lens of the case, which is not focused, with its right value: 0.6 %."""
-    path = SHARED / "cases" / "27-small-window" / "base.zmx"
-    if not path.is_file():
-        pytest.skip("needs ../shared")
-    pair = tasklens.load_lens(path, pixel_pitch_um=2, kernel_size=5)
-    with pytest.warns(UserWarning, match="5 x 5 pixels holds only 0.6 % of the light"):
-        tasklens.simulate(*pair, torch.rand(3, 64, 64))
