@@ -10,7 +10,6 @@ import pytest
 import yaml
 from examples import one_lens, write
 from rules import finish
-from snakemake.target_jobs import parse_target_jobs_cli_args
 from workflows import forked, snakemake
 
 from tasklens.cli.app import main
@@ -146,13 +145,6 @@ def test_points_side_by_side_share_the_cores(swept):
 def test_the_table_of_points_is_of_a_sweep():
     with pytest.raises(StudyError, match="tiny: has no sweep"):
         SweepJob.of(parse(swept_lens()))
-
-
-def test_a_job_of_a_point_can_be_handed_to_a_cluster():
-    """Snakemake's name for the job there is its rule and wildcards in one word."""
-    words = f"design:study=tiny/{POINTS[1]},lens=singlet-imaging1,seed=0"
-    (job,) = parse_target_jobs_cli_args([words])
-    assert job.wildcards_dict == {"study": f"tiny/{POINTS[1]}", "lens": "singlet-imaging1", "seed": "0"}
 
 
 @pytest.mark.parametrize("name", ["tiny/tables", "tiny/..", "tiny/a=../b", "tiny/a=b/c=d"])

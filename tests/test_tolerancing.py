@@ -269,7 +269,7 @@ def test_built_lenses_follow_linear_theory():
     nominal, centre = trace_fields(lens, wide, pupil), chief_points(lens, wide)
     core = distances(nominal, centre) <= encircled_energy_radius(nominal, centre, 0.5)[:, None, None]
     squares = []
-    for fractions in draw(all_errors, 400, 1):
+    for fractions in draw(all_errors, 100, 1):
         rays = trace_fields(with_errors(lens, all_errors, fractions, D_LINE), wide, pupil)
         d = torch.stack([rays.x - nominal.x, rays.y - nominal.y])
         q = torch.stack([rays.l / rays.n, rays.m / rays.n])
@@ -277,9 +277,9 @@ def test_built_lenses_follow_linear_theory():
         d, q = (v - v.mean(-1, keepdim=True) for v in (d, q))
         t = -(d * q).sum() / (q * q).sum()
         squares.append(1e6 * float((d + t * q).square().sum(0).mean()))
-    error = torch.tensor(squares).std() / 20  # of the mean of 400
-    assert sum(squares) / 400 == pytest.approx(expected, abs=4 * float(error))
-    assert float(error) < 0.06 * expected
+    error = torch.tensor(squares).std() / 10  # of the mean of 100
+    assert sum(squares) / 100 == pytest.approx(expected, abs=4 * float(error))
+    assert float(error) < 0.12 * expected
 
 
 # ---- allocation
