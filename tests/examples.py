@@ -230,6 +230,12 @@ def tiny_study() -> dict:
     }
 
 
+def one_lens(**changes) -> dict:
+    """The tiny study with its design by spots alone, and other changes."""
+    study = tiny_study()
+    return study | {"designs": {"imaging1": study["designs"]["imaging1"]}} | changes
+
+
 def with_imported(**catalogues) -> dict:
     """The tiny study and an imported lens; a study does not look into its file."""
     return changed(tiny_study(), "imported.phone", {"elements": "quadruplet", "file": str(PLASTICS), **catalogues})

@@ -17,6 +17,12 @@ def reference_files(pattern: str) -> list[Path]:
     return [paths[name] for name in sorted(paths)]
 
 
+def original_of(path: Path) -> Path:
+    """Return the path in ../shared of a file of tests/data, which may have more in it."""
+    name = path.relative_to(SHIPPED)
+    return SHARED / name if name.parts[0] == "reference" else SHARED / "data" / name
+
+
 ZEMAX_FILES = [path for path in reference_files("lenses/*/source/*") if path.suffix.lower() == ".zmx"]
 
 

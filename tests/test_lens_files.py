@@ -41,10 +41,8 @@ def save(tmp_path, **changes) -> lens_files.LensFile:
     [
         ((0.4861, 0.5876, 0.6563), 1, (0.6563, 0.5876, 0.4861)),
         ((0.55,), 0, (0.55,)),
-        ((0.5, 0.6), 0, (0.6, 0.5)),
         ((0.5, 0.6), 1, (0.5, 0.6)),
         ((0.7, 0.65, 0.6, 0.55), 3, (0.7, 0.65, 0.55, 0.6)),
-        ((0.45, 0.5, 0.55, 0.6, 0.65), 2, (0.65, 0.6, 0.55, 0.5, 0.45)),
     ],
 )
 def test_wavelengths_are_those_of_the_file(tmp_path, wavelengths, primary, expected):
@@ -164,13 +162,6 @@ def test_assumptions_are_warnings_in_python(tmp_path):
         tasklens.load_lens(tmp_path / "lens.zmx")
 
 
-def test_a_near_object_is_where_a_lens_file_of_ours_has_it(tmp_path):
-    lens_data = Prescription(cooke_triplet(), object_distance_mm=300.0)
-    view = View(f64([[0.0, 0.0], [0.0, 10.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
-    prescription.write(tmp_path / "lens.yaml", lens_data, described(lens_data.lens, view, rays=64))
-    assert lens_files.read(tmp_path / "lens.yaml").view.object_vergence == 1 / 300
-
-
 @pytest.mark.parametrize("name", ["lens.yaml", "lens.zmx"])
 def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     """Its image goes back by f^2 / (s - f), about 10 mm."""
@@ -184,33 +175,6 @@ def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     infinity = refocus(cooke_triplet(), replace(view, object_vergence=0.0))
     assert float(far.thickness[-1]) == pytest.approx(float(infinity.thickness[-1]), abs=0.02)
     assert float(near.thickness[-1] - far.thickness[-1]) == pytest.approx(10, abs=1)
-
-
-def test_a_laser_lens_at_its_own_wavelength(tmp_path):
-    """A plano-convex singlet at 1064 nm alone: its spot on the axis by a meridional trace in plain numbers."""
-    radius, thickness, distance, squared = 51.5, 5.0, 98.33247557546134, 1.064**2
-    terms = (
-        (1.03961212, 0.00600069867),
-        (0.231792344, 0.0200179144),
-        (1.01046945, 103.560653),
-    )  # N-BK7
-    index = math.sqrt(1 + sum(k * squared / (squared - l) for k, l in terms))
-    heights = numpy.sqrt((numpy.arange(2000) + 0.5) / 2000) * 5.0  # of equal areas of the pupil
-    turn = numpy.arcsin(heights / radius / index) - numpy.arcsin(heights / radius)
-    sag = radius - numpy.sqrt(radius**2 - heights**2)
-    behind = heights + (thickness - sag) * numpy.tan(turn)
-    image = behind + distance * numpy.tan(numpy.arcsin(index * numpy.sin(turn)))
-    expected = 1e3 * numpy.sqrt(numpy.mean(image**2))
-    surfaces = [
-        {"radius": radius, "thickness": thickness, "material": "N-BK7", "stop": True, "semi_diameter": 5.0},
-        {"radius": math.inf, "thickness": distance},
-    ]
-    lens, _ = tasklens.lens(surfaces, field_of_view_deg=2, wavelengths_um=[1.064])
-    fields = ("angle_deg", ((0.0, 0.0), (0.0, 1.0)))
-    zemax.write(tmp_path / "laser.zmx", Prescription(lens, fields=fields, wavelengths_um=(1.064,), primary=0))
-    file = lens_files.read(tmp_path / "laser.zmx")
-    assert file.view.wavelengths_um == (1.064,) and expected == pytest.approx(6.87, abs=0.01)
-    assert tasklens.analyse(file.lens, file.view)["rms_centroid_um"][0] == pytest.approx(expected, rel=1e-3)
 
 
 def test_wavelengths_in_the_order_of_the_source_are_no_contradiction(tmp_path):

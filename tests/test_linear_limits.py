@@ -40,7 +40,7 @@ def example(seed: int) -> tuple:
     return lens, uniform(0.2, 0.8, 5), torch.stack([uniform(*limits, fields) for limits in ranges])
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_values_are_those_of_the_limits(seed):
     lens, semi_diameter, chief = example(seed)
     actual = LinearLimits(lens, STRICT, VIEW, semi_diameter, chief).values
@@ -49,7 +49,7 @@ def test_values_are_those_of_the_limits(seed):
     torch.testing.assert_close(actual, expected, rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_derivatives_are_those_of_autograd(seed):
     """Derivatives along three random changes of all parameters at once."""
     lens, semi_diameter, chief = example(seed)

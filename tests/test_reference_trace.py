@@ -23,7 +23,7 @@ from tasklens.optics.surface import Surface
 from tasklens.optics.tracing.reference import reference_trace
 from tasklens.optics.tracing.trace import trace
 
-SEEDS = range(4)
+SEEDS = range(2)
 VALUES = ("x", "y", "z", "l", "m", "n", "path")
 
 
@@ -57,19 +57,6 @@ def test_sag_is_that_of_the_definition(seed):
         expected = c * r**2 / (1 + torch.sqrt(1 - (1 + k) * c**2 * r**2))
         expected = expected + sum(a * r ** (2 * j) for j, a in enumerate(alpha, 1))
         assert_close(surface.sag(x, y), expected, 1e-15)
-
-
-def test_sag_of_conics():
-    """k = 0 is R - sqrt(R^2 - r^2), k = -1 is r^2 / (2 R), and any conic has c (r^2 + (1 + k) z^2) = 2 z."""
-    radius = 2.0
-    u = torch.linspace(0, 3.9, 40, dtype=torch.float64)
-    x, y = 0.6 * torch.sqrt(u), -0.8 * torch.sqrt(u)
-    assert_close(Surface(1 / radius).sag(x, y), radius - torch.sqrt(radius**2 - u), 2e-15)
-    assert_close(Surface(1 / radius, conic=-1.0).sag(x, y), u / (2 * radius), 1e-15)
-    x, y = points(0)
-    for conic in (-2.5, -0.5, 0.7):
-        z = Surface(-1 / radius, conic).sag(x, y)
-        assert_close((x * x + y * y + (1 + conic) * z * z) / -radius, 2 * z, 2e-15)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -117,34 +104,6 @@ def test_snells_law(seed, indices):
         assert torch.equal(position(behind), position(before))
 
 
-def test_equal_indices_bend_nothing():
-    for surface in curved_surfaces(0):
-        before = surface.intersect(random_rays(100, 0))
-        assert_close(direction(surface.refract(before, 1.6, 1.6)), direction(before), 1e-15)
-
-
-def test_paraboloid_focuses_in_reflection():
-    """All light along its axis goes through (0, 0, R / 2); n' = -n in Snell's law is the line of a mirror's ray."""
-    radius = 3.0
-    mirror = Surface(-1 / radius, conic=-1.0)
-    rays = mirror.refract(mirror.intersect(parallel_rays(torch.linspace(-1.5, 1.5, 31))), 1.0, -1.0)
-    at_focus = Surface(0.0).intersect(replace(rays, z=rays.z + radius / 2))
-    assert at_focus.valid.all()
-    assert_close(at_focus.y, 0.0, 1e-15)
-
-
-def test_hyperboloid_focuses_in_refraction():
-    """Leaving glass, a surface of conic -n^2 has no spherical aberration at R / (n - 1), and all paths are equal."""
-    n, radius = 1.5, 2.0
-    back = Surface(-1 / radius, conic=-(n**2))
-    rays = back.refract(back.intersect(parallel_rays(torch.linspace(-1.5, 1.5, 31)), n), n, 1.0)
-    focus = radius / (n - 1)
-    at_focus = Surface(0.0).intersect(replace(rays, z=rays.z - focus))
-    assert at_focus.valid.all()
-    assert_close(at_focus.y, 0.0, 4e-15)
-    assert_close(at_focus.path, focus, 4e-15)
-
-
 def test_statuses_of_rays_at_one_surface():
     """Missed: stays. Outside: on the surface. Reflected: on the surface and not turned. Lost before: not touched."""
     ball = Surface(1.0, semi_diameter=0.9)
@@ -186,13 +145,13 @@ def vignetting_triplet() -> Lens:
 
 
 CASES = {
-    **{f"random {seed}": (lambda seed=seed: (random_lens(seed), random_rays(500, seed))) for seed in range(8)},
+    **{f"random {seed}": (lambda seed=seed: (random_lens(seed), random_rays(500, seed))) for seed in range(4)},
     **{
         f"narrow {seed}": lambda seed=seed: (
             replace(random_lens(seed), semi_diameter=f64([0.3, 0.5, 0.5, 0.4, 0.5])),
             random_rays(500, seed, height=0.4, tangent=0.5),
         )
-        for seed in range(4)
+        for seed in range(2)
     },
     "steep": lambda: (random_lens(0), random_rays(500, 0, height=1.5, tangent=1.0)),
     "balls": lambda: (
@@ -265,7 +224,7 @@ def random_like(values: torch.Tensor, seed: int) -> torch.Tensor:
     return torch.randn(values.shape, generator=torch.Generator().manual_seed(seed), dtype=values.dtype)
 
 
-DERIVED = ["random 0", "random 1", "random 2", "random 3", "narrow 0", "narrow 1", "steep", "triplet"]
+DERIVED = ["random 0", "random 1", "narrow 0", "steep", "triplet"]
 
 
 @pytest.mark.parametrize("name", DERIVED)

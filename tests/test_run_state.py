@@ -205,6 +205,9 @@ def test_a_finished_job_has_one_line(snakemake, capsys):
 def test_a_failed_job_shows_the_end_of_its_log(snakemake, capsys):
     """The last lines, the path of the log, and the retry; `status` has the last line too."""
     snakemake.begin()
+    snakemake.job("job_info", 4, TUNE)
+    snakemake.job("job_error", 4, TUNE, logging.ERROR)
+    assert "the job was killed, or did not start" in capsys.readouterr().err  # without a log
     log = [f"line {k}" for k in range(40)] + ["", "tasklens: lens.yaml: no such file"]
     write(f"{FOLDER}/logs/{DESIGN}.log", "\n".join(log) + "\n")
     snakemake.job("job_info", 3, DESIGN)
@@ -218,17 +221,10 @@ def test_a_failed_job_shows_the_end_of_its_log(snakemake, capsys):
     assert lines[1:-1] == [f"    line {k}" for k in range(29, 40)] + ["    tasklens: lens.yaml: no such file"]
     assert lines[-1].strip() == "the job is tried again"
     out = status(capsys)
-    assert "0 of 2 jobs, 1 failed" in out
+    assert "0 of 2 jobs, 2 failed" in out
     assert "FAILED  design singlet-imaging1-seed0: tasklens: lens.yaml: no such file" in out
     snakemake.job("job_info", 3, DESIGN)
-    assert "FAILED" not in status(capsys)
-
-
-def test_a_job_without_a_log_says_why(snakemake, capsys):
-    snakemake.begin()
-    snakemake.job("job_info", 3, DESIGN)
-    snakemake.job("job_error", 3, DESIGN, logging.ERROR)
-    assert "the job was killed, or did not start" in capsys.readouterr().err
+    assert "FAILED  design" not in status(capsys)
 
 
 def test_a_job_ended_by_the_user_has_not_failed(snakemake, capsys):
@@ -314,16 +310,13 @@ def test_status_of_the_points_of_a_sweep(place, capsys):
     assert report["study"] == "sweep" and len(report["points"]) == 2
 
 
-def test_status_of_an_ended_run(place, capsys):
+def test_status_of_runs_that_ended_or_were_killed(place, capsys):
+    """The process of the latter has ended; a run on another machine counts as running, since this one cannot know."""
     run = run_of(design=2)
     run.end("design/0", runs.DONE, 1.0)
     run.started -= 300
     run.finish()
     assert status(capsys) == "tiny: the last run ended after 5 min, 1 of 2 jobs done\n"
-
-
-def test_status_of_a_killed_run_says_how_to_go_on(place, capsys):
-    """Its process has ended; a run on another machine counts as running, since this one cannot know."""
     run = run_of(design=2)
     process = subprocess.Popen(["true"])
     process.wait()

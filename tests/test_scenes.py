@@ -44,13 +44,5 @@ def test_means_tell_nothing_about_the_class():
         assert float(between / within) < 3
 
 
-def test_textures_cover_half_of_a_surface():
-    """Every class paints half of its surface light: the mean sign of its signed distance is near zero."""
-    u, v = 200 * torch.rand(2, 100_000, generator=torch.Generator().manual_seed(0))
-    for name, texture in scenes._TEXTURES.items():
-        if texture is not None:
-            assert abs(float((texture(u, v) > 0).float().mean()) - 0.5) < 0.01, name
-
-
 def test_a_study_knows_how_many_classes_there_are():
     assert len(scenes.CLASSES) == RENDERED_CLASSES

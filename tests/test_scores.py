@@ -28,44 +28,28 @@ def test_mean_iou_by_hand():
     assert mean_iou(truth, truth, 4) == 100.0
 
 
-A, B = [0, 0, 10, 10], [20, 20, 40, 40]
+A, B, OTHER = [0, 0, 10, 10], [20, 20, 40, 40], [60, 60, 70, 70]
 
 
-def test_perfect_answers():
-    assert average_precision([detections(A, B, scores=[0.9, 0.8])], [truths(A, B)], 1, "box") == {
-        "ap": 100.0,
-        "ap50": 100.0,
-    }
-
-
-def test_half_of_the_objects():
-    """With recall up to 1/2 the precision is 1: 51 of COCO's 101 recalls."""
-    only = average_precision([detections(A, scores=[0.9])], [truths(A, B)], 1, "box")
-    assert only["ap50"] == pytest.approx(100 * 51 / 101)
-
-
-def test_overlaps_count_step_by_step():
-    """An overlap of 8 of 10 rows: IoU 0.8, accepted by seven of ten thresholds, 0.50 to 0.80."""
-    near = average_precision([detections([0, 0, 10, 8], scores=[0.9])], [truths(A)], 1, "box")
-    assert near["ap50"] == pytest.approx(100.0) and near["ap"] == pytest.approx(70.0)
-
-
-def test_false_alarms_cost_where_they_are_surer():
-    """A false answer before the right one: precision 1/2 everywhere; a false answer after it costs nothing."""
-    other = [60, 60, 70, 70]
-    before = average_precision([detections(other, A, scores=[0.9, 0.5])], [truths(A)], 1, "box")
-    after = average_precision([detections(other, A, scores=[0.1, 0.5])], [truths(A)], 1, "box")
-    assert before["ap50"] == pytest.approx(50.0) and after["ap50"] == pytest.approx(100.0)
-
-
-def test_classes_are_told_apart():
-    """The mean over classes present: one is right, one is confused with the other."""
-    answer = [detections(A, B, scores=[0.9, 0.9], labels=[0, 0])]
-    assert average_precision(answer, [truths(A, B, labels=[0, 1])], 3, "box")["ap50"] == pytest.approx(50.0)
-
-
-def test_no_detections_score_zero():
-    assert average_precision([detections(scores=[])], [truths(A)], 1, "box") == {"ap": 0.0, "ap50": 0.0}
+@pytest.mark.parametrize(
+    "answer, truth, expected",
+    [
+        (detections(A, B, scores=[0.9, 0.8]), truths(A, B), {"ap": 100, "ap50": 100}),
+        (detections(scores=[]), truths(A), {"ap": 0, "ap50": 0}),
+        # With recall up to 1/2 the precision is 1: 51 of COCO's 101 recalls.
+        (detections(A, scores=[0.9]), truths(A, B), {"ap50": 100 * 51 / 101}),
+        # An overlap of 8 of 10 rows is accepted by seven of ten thresholds, 0.50 to 0.80.
+        (detections([0, 0, 10, 8], scores=[0.9]), truths(A), {"ap": 70, "ap50": 100}),
+        # A false answer before the right one: precision 1/2 everywhere; a false answer after it costs nothing.
+        (detections(OTHER, A, scores=[0.9, 0.5]), truths(A), {"ap50": 50}),
+        (detections(OTHER, A, scores=[0.1, 0.5]), truths(A), {"ap50": 100}),
+        # The mean over classes present: one is right, one is confused with the other.
+        (detections(A, B, scores=[0.9, 0.9], labels=[0, 0]), truths(A, B, labels=[0, 1]), {"ap50": 50}),
+    ],
+)
+def test_average_precision_by_hand(answer, truth, expected):
+    actual = average_precision([answer], [truth], 3, "box")
+    assert actual | expected == pytest.approx(actual)
 
 
 def own_average_precision(answers, truths, threshold, classes, overlap):

@@ -6,28 +6,26 @@ tracing. Both use our refractive indices.
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import numpy
 import pytest
 import torch
-from examples import WAVELENGTHS, cooke_triplet, f64, materials, random_lens
+from examples import WAVELENGTHS, cooke_triplet, f64, random_lens
 from reference_files import SHIPPED
 
-from tasklens.design import least_squares
-from tasklens.design.problem import Problem
-from tasklens.design.start import flat
+import tasklens
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.analysis.wavefront import path_differences
 from tasklens.optics.io import zemax
 from tasklens.optics.lens import Lens
-from tasklens.optics.view import View, view_of_spec
-from tasklens.settings.least_squares_settings import LeastSquaresSettings
-from tasklens.settings.specification import Constraints, Spec
+from tasklens.optics.view import View
 
 OPTILAND = pytest.importorskip("optiland_lenses", reason="Optiland is not installed")
 RAYS = 64
+DOUBLET = Path(__file__).parents[1] / "docs/results/headline/lenses/doublet-imaging2.yaml"
 
 
 def assert_same_image_points(lens: Lens, view: View) -> None:
@@ -45,7 +43,7 @@ def assert_same_image_points(lens: Lens, view: View) -> None:
                 torch.testing.assert_close(a[f, w][through], f64(b)[through], rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_random_aspheres(seed):
     """Conics and aspheres up to alpha_10 of either sign, with an r^2 term, at fields to both sides of both axes."""
     lens = random_lens(seed)
@@ -55,13 +53,10 @@ def test_random_aspheres(seed):
 
 
 def test_a_finished_design():
-    """A doublet by least squares, up to the corner of the paper's field."""
-    spec, limits = Spec(), Constraints()
-    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
-    start = flat(materials("COC", "OKP4"), spec, limits)
-    lens, _ = least_squares.design(start, Problem(view_of_spec(spec), limits, 0), settings)
+    """A published doublet by least squares, up to the corner of the paper's field."""
+    lens, view = tasklens.load_lens(DOUBLET)
     assert lens.alpha.any()
-    assert_same_image_points(lens, view_of_spec(spec))
+    assert_same_image_points(lens, view)
 
 
 # ---- wavefronts
@@ -90,7 +85,6 @@ def assert_same_wavefronts(lens: Lens, view: View) -> None:
 PUBLISHED = (
     "cellphone/source/US-12078784-B2-e6",
     "cellphone/source/US20210165194A1",
-    "cellphone/source/US-12032142-B2-e3",
     "classical/source/US00583336-2-scaled",
 )
 
@@ -117,18 +111,17 @@ def asphere_behind_a_stop(seed: int) -> Lens:
     return replace(lens, alpha=alpha, semi_diameter=f64([0.3, *[torch.inf] * 4]))
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_wavefronts_of_random_aspheres(seed):
     """Dozens of waves."""
     view = View(f64([[0, 0], [-0.1, 0.2], [0.2, -0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
     assert_same_wavefronts(asphere_behind_a_stop(seed), view)
 
 
-@pytest.mark.parametrize("degrees", [0.0, 10.0, 20.0])
-def test_rays_aimed_at_a_stop_inside(degrees):
+def test_rays_aimed_at_a_stop_inside():
     """The Cooke triplet at its middle wavelength: the same image points as with Optiland's ray aiming."""
-    lens, tangent = cooke_triplet(), math.tan(math.radians(degrees))
-    view = View(f64([[0, tangent], [0, math.tan(math.radians(20))]]), 1.0, WAVELENGTHS[1:2], 1.8, 51)
+    lens = cooke_triplet()
+    view = View(f64([[0, math.tan(math.radians(20))]]), 1.0, WAVELENGTHS[1:2], 1.8, 51)
     pupil = sobol_disc(RAYS, seed=0)
     ours = trace_fields(lens, view, pupil)
     assert ours.valid.all()

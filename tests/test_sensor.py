@@ -105,4 +105,3 @@ def test_a_sensor_takes_linear_light_by_default():
     assert not PsfCamera(point(2)).linear and PsfCamera(point(2), colour="linear").linear
     assert PsfCamera(point(2), sensor=SensorSettings()).linear
     assert not PsfCamera(point(2), colour="srgb", sensor=SensorSettings()).linear
-    assert CaptureSettings(sensor=SensorSettings()).colour == "linear" and CaptureSettings().colour == "srgb"

@@ -26,7 +26,7 @@ from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 
 SHAPE = (96, 128)
-RAYS = 2048
+RAYS = 1024
 
 
 def blurred() -> tuple[Lens, View]:

@@ -7,7 +7,7 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from examples import tiny_study
+from examples import one_lens, tiny_study
 from rules import ROOT, workflow
 from snakemake.scheduling.job_scheduler import JobRateLimiter
 from snakemake.settings.types import ExecMode, MaxJobsPerTimespan
@@ -30,7 +30,7 @@ def test_the_settings_of_a_run():
 def test_the_jobs_of_a_run(tmp_path, monkeypatch):
     """Labels, needs and settings before a run; outputs and the settings that made them after it."""
     monkeypatch.chdir(tmp_path)
-    study = tiny_study() | {"designs": {"imaging1": tiny_study()["designs"]["imaging1"]}}
+    study = one_lens()
     lens = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml"
 
     def jobs(target: str) -> dict:

@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from examples import changed, tiny_study, write
+from examples import changed, one_lens, tiny_study, write
 from study_command import complaint, study
 
 from tasklens.study.loading import dump, parse
@@ -28,8 +28,7 @@ def test_check_finds_a_wrong_folder_and_missing_weights(place, capsys):
 
 def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
     """A plan of a study without results, 1 singlet of the tiny study in table 1; the command writes nothing."""
-    designs = {"imaging1": tiny_study()["designs"]["imaging1"]}
-    write("study.yaml", dump(parse(tiny_study() | {"designs": designs})))
+    write("study.yaml", dump(parse(one_lens())))
     assert study("plan", "study.yaml", "--target", "table1", "--json") == 0
     (plan,) = json.loads(capsys.readouterr().out)["points"]
     counts = {stage: len(jobs["missing"]) for stage, jobs in plan["jobs"].items()}
@@ -42,30 +41,21 @@ def test_a_plan_counts_jobs_time_memory_and_disk(place, capsys):
 
 def test_a_plan_of_a_study_with_parts_counts_their_jobs(capsys):
     """The first page, of the singlets, is a part of a study of two element counts: its tables are two more jobs."""
-    designs = {"imaging1": tiny_study()["designs"]["imaging1"]}
-    elements = tiny_study()["elements"] | {"doublet": ["COC", "OKP4"]}
-    changes = {"designs": designs, "elements": elements, "tables": ["table1"]}
-    write("study.yaml", dump(parse(tiny_study() | changes)))
+    elements = {"singlet": ["COC"], "doublet": ["COC", "OKP4"]}
+    write("study.yaml", dump(parse(one_lens(elements=elements, tables=["table1"]))))
     assert study("plan", "study.yaml", "--json") == 0
     (plan,) = json.loads(capsys.readouterr().out)["points"]
     counts = {stage: len(jobs["missing"]) for stage, jobs in plan["jobs"].items()}
     assert plan["study"] == "tiny" and counts["table"] == counts["report_page"] == 2 and counts["design"] == 2
 
 
-def test_a_target_without_jobs_has_nothing_to_be_done(capsys):
-    write("study.yaml", dump(parse(tiny_study())))
+def test_other_targets_than_tables(capsys):
+    """Without jobs, of another study, and unknown."""
+    write("study.yaml", dump(parse(one_lens())))
     assert study("plan", "study.yaml", "--target", "ablations") == 0
     assert "tiny: nothing to do for ablations." in capsys.readouterr().out
-
-
-def test_a_target_of_another_study_is_reported(capsys):
-    write("study.yaml", dump(parse(tiny_study())))
-    why = complaint(capsys, "plan", "study.yaml", "--target", "results/small/report.html")
-    assert "has jobs of the study small, not tiny" in why
-
-
-def test_an_unknown_target_is_reported(capsys):
-    write("study.yaml", dump(parse(tiny_study())))
+    why = complaint(capsys, "plan", "study.yaml", "--target", "results/smoke/images/train.npy")
+    assert "has jobs of the study smoke, not tiny" in why
     why = complaint(capsys, "plan", "study.yaml", "--target", "nothing")
     assert "cannot plan nothing of study.yaml" in why and "No rule to produce nothing" in why
 

@@ -8,10 +8,9 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import tiny_study, write
+from examples import one_lens, write
 from rules import finish
-from snakemake.target_jobs import parse_target_jobs_cli_args
-from workflows import forked, plan, snakemake
+from workflows import forked, snakemake
 
 from tasklens.cli.app import main
 from tasklens.runtime.errors import InputError
@@ -32,15 +31,14 @@ POINTS = [
 ]
 
 
-def one_lens(**sweep: list) -> dict:
-    study = tiny_study()
-    return study | {"designs": {"imaging1": study["designs"]["imaging1"]}, "tables": ["table1"], "sweep": sweep}
+def swept_lens(**sweep: list) -> dict:
+    return one_lens(tables=["table1"], sweep=sweep)
 
 
 @pytest.fixture
 def swept(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    return parse(one_lens(**GRID))
+    return parse(swept_lens(**GRID))
 
 
 def test_each_point_is_the_study_with_these_values(swept, tmp_path):
@@ -53,7 +51,7 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
         (2.8, False),
         (2.8, True),
     ]
-    plain = parse(one_lens())
+    plain = parse(swept_lens())
     assert at_points(plain) == [plain]
     assert studies[2].model_copy(update={"name": "tiny"}) == plain.model_copy(update={"spec": studies[2].spec})
     write("results/study.yaml", dump(studies[1]))
@@ -78,30 +76,22 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
 )
 def test_an_impossible_grid_is_refused(sweep, words):
     with pytest.raises(InputError) as caught:
-        at_points(parse(one_lens(**sweep)))
+        at_points(parse(swept_lens(**sweep)))
     assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value)
-
-
-def test_a_point_has_all_jobs_of_a_study(tmp_path):
-    """Two F-numbers: every job twice, in folders of their own, and the table of both."""
-    once = plan(tmp_path, one_lens(), "tables")
-    counts = plan(tmp_path, one_lens(**{"spec.f_number": [2.0, 2.8]}), "tables")
-    assert counts.pop("sweep_table") == 1
-    assert counts == {rule: 2 * count for rule, count in once.items()}
 
 
 @pytest.mark.slow
 def test_a_changed_value_is_asked_about_at_each_point(tmp_path):
     """One point has a lens made with another limit; the other point has no lens yet."""
     lens = "results/tiny/spec.f_number=2.0/lenses/singlet-imaging1/seed0/lens.yaml"
-    assert snakemake(tmp_path, one_lens(**{"spec.f_number": [2.0]}), lens).returncode == 0
-    changed = one_lens(**{"spec.f_number": [2.0, 2.8]}) | {"constraints": {"max_track": 4.2}}
+    assert snakemake(tmp_path, swept_lens(**{"spec.f_number": [2.0]}), lens).returncode == 0
+    changed = swept_lens(**{"spec.f_number": [2.0, 2.8]}) | {"constraints": {"max_track": 4.2}}
     status, output = forked(tmp_path, changed, "--dry-run", "table1")
     assert status == 0 and "results of the study tiny/spec.f_number=2.0; nothing was changed" in output
     assert "--config name=tiny_2" in output and output.count("nothing was changed") == 1
     point = [tmp_path / "results/tiny/spec.f_number=2.0/study.yaml"]  # a study like others
     assert snakemake(tmp_path, point, "results/tiny/spec.f_number=2.0/images/train.npy").returncode == 0
-    status, output = forked(tmp_path, one_lens(**{"spec.f_number": [2.0]}), "--dry-run", "verify")
+    status, output = forked(tmp_path, swept_lens(**{"spec.f_number": [2.0]}), "--dry-run", "verify")
     assert status != 0 and "verify: a sweep is verified point by point" in output
 
 
@@ -154,20 +144,13 @@ def test_points_side_by_side_share_the_cores(swept):
 
 def test_the_table_of_points_is_of_a_sweep():
     with pytest.raises(StudyError, match="tiny: has no sweep"):
-        SweepJob.of(parse(one_lens()))
-
-
-def test_a_job_of_a_point_can_be_handed_to_a_cluster():
-    """Snakemake's name for the job there is its rule and wildcards in one word."""
-    words = f"design:study=tiny/{POINTS[1]},lens=singlet-imaging1,seed=0"
-    (job,) = parse_target_jobs_cli_args([words])
-    assert job.wildcards_dict == {"study": f"tiny/{POINTS[1]}", "lens": "singlet-imaging1", "seed": "0"}
+        SweepJob.of(parse(swept_lens()))
 
 
 @pytest.mark.parametrize("name", ["tiny/tables", "tiny/..", "tiny/a=../b", "tiny/a=b/c=d"])
 def test_a_name_leads_nowhere_else(name):
     with pytest.raises(StudyError, match="name"):
-        parse(one_lens() | {"name": name})
+        parse(swept_lens() | {"name": name})
 
 
 def test_jobs_of_all_points_are_counted_together(swept, capsys):
@@ -196,7 +179,7 @@ def test_jobs_of_all_points_are_counted_together(swept, capsys):
 def test_commands_know_the_points(tmp_path, monkeypatch, capsys):
     """`plan`, `check` and `status` report each point."""
     monkeypatch.chdir(tmp_path)
-    write("study.yaml", yaml.safe_dump(one_lens(**{"spec.f_number": [2.0, 2.8]})))
+    write("study.yaml", yaml.safe_dump(swept_lens(**{"spec.f_number": [2.0, 2.8]})))
     assert main(["study", "plan", "study.yaml", "--json"]) == 0
     report = json.loads(capsys.readouterr().out)
     names = ["tiny", "tiny/spec.f_number=2.0", "tiny/spec.f_number=2.8"]

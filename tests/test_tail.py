@@ -30,15 +30,6 @@ def tail_of(monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.M
     return by_field[0], pandas.DataFrame(curve)
 
 
-def test_a_disc_of_even_light(monkeypatch):
-    """Half of the light within R / sqrt(2), which is the RMS too; no tail. The centre is the chief ray's point."""
-    row, _ = tail_of(monkeypatch, 10 * sobol_disc(4096, 0), centre=(300.0, -200.0))
-    assert row["core_radius_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
-    assert row["radius_80_um"] == pytest.approx(10 * math.sqrt(0.8), rel=2e-3)
-    assert row["rms_chief_ray_um"] == pytest.approx(10 / math.sqrt(2), rel=2e-3)
-    assert row["tail_energy"] == row["energy_outside_window"] == 0
-
-
 def test_a_gaussian_spot(monkeypatch):
     """exp(-r^2 / 2 s^2): core s sqrt(2 ln 2), RMS over core 1 / sqrt(ln 2) = 1.20, outside 3 cores 2^-9."""
     u, v = sobol_disc(8192, 0).T

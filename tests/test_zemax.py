@@ -131,13 +131,6 @@ def test_an_f_number_has_no_unit(tmp_path):
     assert float(ratio) == pytest.approx(25.4, rel=1e-12)
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
-@pytest.mark.parametrize("newline", ["\n", "\r\n"])
-def test_encodings(tmp_path, encoding, newline):
-    text = edit(("A doublet", "Ø 30 µm")).replace("\n", newline)
-    assert read_lens(tmp_path, text, encoding=encoding).title == "Ø 30 µm"
-
-
 def test_extended_aspheres_are_normalised(tmp_path):
     """sum_j a_j (r / 2)^2j: alpha_2j = a_j / 4^j."""
     lines = "  XDAT 1 1.2E+01\n  XDAT 2 2\n  XDAT 4 0.5 0 0 1\n  XDAT 14 -0.25"
@@ -192,26 +185,6 @@ def test_an_odd_asphere_without_odd_terms_is_an_even_one(tmp_path, kind, keyword
     odd = edit(changes[0], (changes[1][0], lines.replace(f"{keyword} {first + 2} 0.0", f"{keyword} {first + 2} 0.1")))
     with pytest.raises(FileError, match=f"{keyword}: odd terms"):
         read_lens(tmp_path, odd)
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "ENVD 20 1 1",
-        "GFAC 1 0",
-        "GFAC 0 3",
-        "STUD 1",
-        "FSVY 2 3",
-        "CHZH 0 0",
-        "BMRK 1",
-        "BKMK 1",
-        "BOOK 1",
-        "FENF 1 3 4\nFENF 2 3 4",
-    ],
-)
-def test_what_changes_no_ray_is_read(tmp_path, line):
-    expected, actual = read_lens(tmp_path), read_lens(tmp_path, edit(("MODE SEQ", f"MODE SEQ\n{line}")))
-    assert all(torch.equal(a, b) for a, b in zip(tensors(actual.lens), tensors(expected.lens), strict=True))
 
 
 def test_fields_of_old_files_and_more_than_twelve(tmp_path):

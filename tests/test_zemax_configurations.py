@@ -1,14 +1,10 @@
 """Configurations of Zemax files: what an operand sets is what a file with this value itself says."""
 
-from dataclasses import replace
-from pathlib import Path
-
 import pytest
 from prescriptions import same_bits
-from reference_files import SHARED
 from zemax_texts import LENS_TEXT, edit, read_lens
 
-from tasklens.optics.io import lens_files, zemax
+from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.runtime.files import FileError
 
@@ -230,83 +226,3 @@ def test_a_configuration_that_the_file_lacks(tmp_path, number):
     (tmp_path / "lens.zmx").write_text(with_rows("THIC 2 1 0.3 0"))
     with pytest.raises(FileError, match=rf"expected a configuration 1 \.\. 2, got {number} \(--configuration\)"):
         zemax.read(tmp_path / "lens.zmx", configuration=number)
-
-
-# ---- the plano-convex lens of ../shared/cases/21, with first-order numbers by hand
-
-
-def plano_convex(*rows: str, aperture: str = "ENPD 10", saved: int = 1) -> str:
-    """A lens of N-BK7, R 50 mm, 5 mm thick, stop on its first surface, field of 5 degrees."""
-    return f"""MODE SEQ
-{aperture}
-GCAT SCHOTT
-FTYP 0 0 2 2 0 0 0 2
-XFLN 0 0
-YFLN 0 5
-WAVM 1 0.5875618 1
-WAVM 2 0.45 1
-PWAV 1
-SURF 0
-  DISZ INFINITY
-  CURV 0
-SURF 1
-  STOP
-  CURV 0.02
-  DISZ 5
-  GLAS N-BK7
-  DIAM 6 1
-SURF 2
-  CURV 0
-  DISZ 92
-SURF 3
-  CURV 0
-  DISZ 0
-MNUM 2 {saved}
-""" + "\n".join(rows)
-
-
-def sellmeier(um: float, b: tuple[float, ...], c: tuple[float, ...]) -> float:
-    return (1 + sum(bi * um**2 / (um**2 - ci) for bi, ci in zip(b, c, strict=True))) ** 0.5
-
-
-N_BK7 = (1.03961212, 0.231792344, 1.01046945), (0.00600069867, 0.0200179144, 103.560653)
-SF6 = (1.72448482, 0.390104889, 1.04572858), (0.0134871947, 0.0569318095, 118.557185)
-D_LINE = 0.5875618
-FIRST_ORDER = [  # operand of configuration 1, aperture of the file, glass, wavelength, radius, diameter of the pupil
-    ("SDIA 1 1 3", "FLOA", N_BK7, D_LINE, 50, 6),
-    ("APER 0 1 5", "ENPD 10", N_BK7, D_LINE, 50, 5),
-    ("CRVT 1 1 0.03", "ENPD 10", N_BK7, D_LINE, 1 / 0.03, 10),
-    ("GLSS 1 1 SF6", "ENPD 10", SF6, D_LINE, 50, 10),
-    ("PRWV 0 1 2", "ENPD 10", N_BK7, 0.45, 50, 10),
-    ("WAVE 1 1 0.45", "ENPD 10", N_BK7, 0.45, 50, 10),
-    ("CONN 1 1 -1", "ENPD 10", N_BK7, D_LINE, 50, 10),
-]
-
-
-@pytest.mark.parametrize("row, aperture, glass, wavelength, radius, diameter", FIRST_ORDER)
-@pytest.mark.parametrize("saved", [1, 2])
-def test_first_order_of_a_configuration(tmp_path, row, aperture, glass, wavelength, radius, diameter, saved):
-    """f = R / (n - 1), of the first surface alone; its F-number is f / D."""
-    path = tmp_path / "lens.zmx"
-    path.write_text(plano_convex(f"{row} {TAIL}", aperture=aperture, saved=saved))
-    file = lens_files.read(path, configuration=1)
-    efl = radius / (sellmeier(wavelength, *glass) - 1)
-    assert file.view.efl == pytest.approx(efl, rel=1e-6) and file.view.reference_um == wavelength
-    assert 2 * float(file.lens.semi_diameter[0]) == pytest.approx(diameter, rel=1e-9)
-
-
-@pytest.mark.skipif(not SHARED.exists(), reason="needs ../shared")
-def test_the_cases_of_configurations():
-    """Cases 21 and 24: no operand that contradicts its surface is passed over, and the image has no thickness."""
-
-    def read(name: str) -> lens_files.LensFile:
-        return lens_files.read(next(Path(SHARED, "cases").glob(f"*/{name}.zmx")))
-
-    assert read("yfie").prescription.fields[1][1] == (0.0, 10.0)
-    assert read("wave").view.wavelengths_um == (0.45,) and read("prwv").view.reference_um == 0.45
-    assert read("stps").lens.stop == 1 and float(read("conn").lens.conic[0]) == -1
-    assert read("par2").lens.alpha[0].tolist() == [0, 1e-4]
-    assert read("glss").view.efl == pytest.approx(62.1, abs=0.01)
-    assert float(read("sdia").lens.semi_diameter[0]) == 3 and float(read("aper").lens.semi_diameter[0]) == 2.5
-    image = replace(read("image").prescription, remarks=())
-    assert float(image.lens.thickness[-1]) == 92

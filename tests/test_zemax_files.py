@@ -113,38 +113,6 @@ def test_first_order_and_rays(reading):
 
 
 @every_file
-def test_spots(reading):
-    """Heights of the centroids and RMS spot radii in three colours, if no ray of the reference is lost.
-
-    Its rays fill a grid of 33 x 33 over the paraxial entrance pupil.
-    """
-    reference, lens = reading[1], bare_lens(reading)
-    expected = [
-        spot for spot in reference["reference"]["spots"] if all(spot.get(f"passed_{line}") == 1 for line in LINES)
-    ]
-    assert expected[0]["field"] == 0
-    axis = torch.linspace(-1, 1, 33, dtype=torch.float64)
-    grid = torch.cartesian_prod(axis, axis)
-    x, y = (grid[grid.norm(dim=1) <= 1 + 1e-12] * reference["epd"] / 2).T[:, None]
-    for spot in expected:
-        tangent = math.tan(math.radians(spot["angle_deg"]))
-        n = torch.full_like(x, 1 / math.hypot(1, tangent))
-        zero = torch.zeros_like(x)
-        rays = launch(x, y - tangent * reference["reference"]["entrance_pupil_z"], zero, zero, tangent * n, n)
-        for line, wavelength in LINES.items():
-            image_rays = trace(lens, rays, lens.refractive_indices((wavelength,)))
-            assert image_rays.valid.all()
-            assert float(image_rays.y.mean()) == pytest.approx(spot[f"ymean_mm_{line}"], rel=0, abs=1e-12)
-            rms = 1e3 * float(
-                torch.hypot(image_rays.x - image_rays.x.mean(), image_rays.y - image_rays.y.mean())
-                .square()
-                .mean()
-                .sqrt()
-            )
-            assert rms == pytest.approx(spot[f"rms_um_{line}"], rel=0, abs=1e-9)
-
-
-@every_file
 def test_nothing_is_lost_on_the_way_to_yaml_and_back_to_zemax(reading, tmp_path):
     """Title, comments, aperture, fields, wavelengths and every number of the lens."""
     original = reading[0]
