@@ -17,7 +17,7 @@ from tasklens.recognition import classifiers, evaluation, folders, networks
 from tasklens.recognition import dataset as data
 from tasklens.runtime import user_code
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError
+from tasklens.runtime.files import FileError, write_tensors
 from tasklens.settings.network_settings import ClassifierSettings, TrainingSettings
 from tasklens.study.loading import parse
 from tasklens.study.run import checks
@@ -29,17 +29,19 @@ def names(count: int) -> list[str]:
     return [f"class{k}" for k in range(count)]
 
 
+def settings_of(model: str = "test_resnet", **keys) -> ClassifierSettings:
+    """Settings of a network that is trained for an epoch."""
+    return ClassifierSettings(model=model, training=TrainingSettings(epochs=1, learning_rate=1e-3), **keys)
+
+
 @pytest.mark.parametrize(
     "model, arguments, size",
     [("resnt18", {}, 64), ("resnet18", {"chanels": [8]}, 64), ("vit_tiny_patch16_224", {"img_size": 64}, 80)],
 )
 def test_a_network_that_cannot_be_built_is_a_mistake_in_the_study(model, arguments, size):
     """Unknown model, unknown argument, wrong image size: refused before any weight is initialised."""
-    settings = ClassifierSettings(
-        model=model, arguments=arguments, training=TrainingSettings(epochs=1, learning_rate=1e-3)
-    )
     with pytest.raises(InputError, match=f"classifiers.mine: {model}"):
-        classifiers.check("mine", settings, size)
+        classifiers.check("mine", settings_of(model, arguments=arguments), size)
     classifiers.check("mine", ClassifierSettings(model="resnet18", pretrained=True), 64)
 
 
@@ -70,8 +72,7 @@ def test_classifier_normalises_after_the_optics(model):
     else:
         small = {"layers": [1, 1, 1, 1], "channels": [8, 8, 8, 8]}
     torch.manual_seed(0)
-    settings = ClassifierSettings(model=model, arguments=small, training=TrainingSettings(epochs=1, learning_rate=1e-3))
-    classifier = classifiers.build(settings, names(7)).eval()
+    classifier = classifiers.build(settings_of(model, arguments=small), names(7)).eval()
     torch.manual_seed(0)
     network = timm.create_model(model, num_classes=7, **small).eval()
     config = timm.data.resolve_model_data_config(network)
@@ -85,9 +86,7 @@ def test_classifier_normalises_after_the_optics(model):
 
 
 def test_weights_of_a_file_replace_all_others(tmp_path):
-    from tasklens.runtime.files import write_tensors
-
-    settings = ClassifierSettings(model="test_resnet", training=TrainingSettings(epochs=1, learning_rate=1e-3))
+    settings = settings_of()
     first = classifiers.build(settings, names(4)).eval()
     path = tmp_path / "weights.safetensors"
     write_tensors(path, first.network.state_dict(), {})
@@ -113,10 +112,9 @@ def _state() -> dict[str, torch.Tensor]:
     ids=["objects", "prefix", "empty", "text"],
 )
 def test_what_holds_no_weights_says_what_to_do(tmp_path, write, words):
-    settings = ClassifierSettings(model="test_resnet", training=TrainingSettings(epochs=1, learning_rate=1e-3))
     write(tmp_path / "w.pth")
     with pytest.raises(FileError, match=rf"w\.pth: no weights for test_resnet with 4 outputs: .*{re.escape(words)}"):
-        classifiers.build(settings, names(4), tmp_path / "w.pth")
+        classifiers.build(settings_of(), names(4), tmp_path / "w.pth")
 
 
 def test_weights_of_torch_are_tensors_and_nothing_else(tmp_path):
@@ -173,9 +171,7 @@ def test_weights_of_numpy_are_read_by_models_that_can(tmp_path):
 
 def test_ten_of_imagenets_classes_are_asked_alone(tmp_path):
     """Logits of the present classes, in the order of the folders; only their rows of the head have gradients."""
-    settings = ClassifierSettings(
-        model="test_resnet", outputs="imagenet", training=TrainingSettings(epochs=1, learning_rate=1e-2)
-    )
+    settings = settings_of(outputs="imagenet")
     folders = ["n01443537", "n02102040", "n01440764"]  # goldfish (1), English springer (217), tench (0)
     classifier = classifiers.build(settings, folders).eval()
     assert classifier.outputs.tolist() == [1, 217, 0]
@@ -190,9 +186,7 @@ def test_ten_of_imagenets_classes_are_asked_alone(tmp_path):
 
 def test_all_of_imagenets_classes_may_be_answers():
     """Present classes come first, so that labels index them; then the others, each once."""
-    training = TrainingSettings(epochs=1, learning_rate=1e-2)
-    settings = ClassifierSettings(model="test_resnet", outputs="all_imagenet", training=training)
-    classifier = classifiers.build(settings, ["n01443537", "n02102040", "n01440764"]).eval()
+    classifier = classifiers.build(settings_of(outputs="all_imagenet"), ["n01443537", "n02102040", "n01440764"]).eval()
     assert classifier.outputs[:5].tolist() == [1, 217, 0, 2, 3]
     assert classifier.outputs.sort().values.tolist() == list(range(1000))
 

@@ -120,11 +120,11 @@ def random_surface(generator: torch.Generator) -> Lens:
     )
 
 
-@pytest.mark.parametrize("tracer", [trace, reference_trace])
-def test_random_aspheres(tracer):
+@pytest.mark.parametrize("tracer, count", [(trace, 6), (reference_trace, 2)])
+def test_random_aspheres(tracer, count):
     """Steep rays to heights where the polynomials turn over: met and missed rays, and rays that cross several times."""
     all_missed = 0
-    for seed in range(6):
+    for seed in range(count):
         generator = torch.Generator().manual_seed(seed)
         lens = random_surface(generator)
         x, y, tx, ty, z = 2 * torch.rand(5, 1, 100, generator=generator, dtype=torch.float64) - 1
@@ -139,7 +139,7 @@ def test_random_aspheres(tracer):
         met, missed = assert_first(lens.surfaces[1], before, after, reach=4.0)
         assert met > 20 and met + missed == 100
         all_missed += missed
-    assert all_missed > 50
+    assert all_missed > 8 * count
 
 
 def last_rays(lens: Lens, start: Rays) -> Rays:
