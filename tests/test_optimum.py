@@ -7,7 +7,6 @@ import torch
 from designs import LIMITS, VIEW, problem
 from examples import by_descents, materials
 
-from tasklens.design import criteria, optimum
 from tasklens.design.criteria import Contrast, ImageError, SpotRadius
 from tasklens.design.objective import Objective
 from tasklens.design.optimum import local_optimum
@@ -20,13 +19,6 @@ from tasklens.settings.tolerance_settings import Grade
 from tasklens.show.optimality import Optimum
 
 PART = DescentSettings(steps=1, pixels=(5, 5))
-
-
-@pytest.fixture(autouse=True)
-def rays(monkeypatch):
-    """A few rays: gradients and losses of a quarter of the time."""
-    monkeypatch.setattr(criteria, "VALIDATION_RAYS", 128)
-    monkeypatch.setattr(optimum, "_RAYS", 128)
 
 
 @dataclass(frozen=True)
@@ -51,8 +43,8 @@ def feasible(spot_lens):
 
 
 def examine(lens, target) -> Optimum:
-    bowl = Objective(Bowl(target), replace(problem(), fields=PAPER), None, False, 36)
-    return Optimum(**local_optimum(lens, bowl, PART))
+    objective = Objective(Bowl(target), replace(problem(), fields=PAPER), None, False, 36)
+    return Optimum(**local_optimum(lens, objective, PART))
 
 
 def test_the_bottom_of_a_bowl_is_an_optimum(feasible):
@@ -75,24 +67,24 @@ def test_a_lens_on_the_slope_of_a_bowl_is_none(feasible):
 def test_a_descent_that_was_cut_short_has_not_converged():
     """By the spot, a lens after few steps from flat plates is far from its optimum; after many more steps it is not."""
     posed = replace(problem(), seed=0)
-    spots, gains = Objective(SpotRadius(), posed, None, False, 36), []
+    objective, gains = Objective(SpotRadius(), posed, None, False, 36), []
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    for steps in (5, 100):
+    for steps in (5, 250):
         part = DescentSettings(steps=steps, criterion="spot", pixels=(10, 1), duration=0.7, final=0.02)
         lens, _, _ = by_descents(plates, lambda part: SpotRadius(), posed, part, rays=64)
         finished = as_saved(lens, VIEW, LIMITS)
-        gains.append(Optimum(**local_optimum(finished, spots, part)).gain)
+        gains.append(Optimum(**local_optimum(finished, objective, part)).gain)
     assert gains[0] > 0.002 and gains[1] < 0.02 * gains[0]  # [mm]
 
 
 def test_a_design_by_contrast_needs_no_images(feasible):
     """Its test of the optimum, too; built lenses of a toleranced design differ in it."""
     without = replace(problem(), dataset=None, capture=None)
-    by_contrast = Objective(Contrast(), without, None, False, 36)
-    result = local_optimum(feasible, by_contrast, PART)
-    with_images = local_optimum(feasible, replace(by_contrast, problem=problem()), PART)
+    objective = Objective(Contrast(), without, None, False, 36)
+    result = local_optimum(feasible, objective, PART)
+    with_images = local_optimum(feasible, replace(objective, problem=problem()), PART)
     assert result["gain"] == pytest.approx(with_images["gain"], rel=1e-9) and result["images"] == 0
-    built = replace(by_contrast, grade=Grade.model_validate("precision_moulding"))
+    built = replace(objective, grade=Grade.model_validate("precision_moulding"))
     assert local_optimum(feasible, built, PART)["gain"] != result["gain"]
 
 

@@ -30,7 +30,7 @@ from tasklens.settings.network_settings import TrainingSettings
 
 LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-imaging3.yaml"
 PLATES = {"start": "flat", "batch_size": 4, "rays": 16}
-QUICK = PLATES | {"descents": [{"steps": 1, "pixels": [20, 5]}, {"steps": 1, "pixels": [5, 1]}]}
+QUICK = PLATES | {"descents": [{"steps": 2, "pixels": [20, 5]}, {"steps": 2, "pixels": [5, 1]}]}
 SPEC = {"kernel_size": 11}
 pytestmark = pytest.mark.usefixtures("few_rays")
 
@@ -114,7 +114,7 @@ def test_settings_that_a_loss_cannot_have_are_refused(images, network, change, w
         )
 
 
-TRAINING = {"steps": 1, "pixels": [5, 1], "network_learning_rate": 1e-2}
+TRAINING = {"steps": 2, "pixels": [5, 1], "network_learning_rate": 1e-2}
 
 
 def test_joint_design_trains_the_network(images, network):
@@ -328,6 +328,7 @@ def test_unused_outputs_of_a_module_that_is_not_of_timm():
     assert not Classifier(network, torch.arange(1000)).has_more_outputs and not Classifier(network).has_more_outputs
 
 
+@pytest.mark.slow
 def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
     """With the same candidate starts and number of steps; better or worse only if the interval says so."""
     request = LensRequest("task", ["COC"], images=images, network=network, settings=QUICK, spec=SPEC)

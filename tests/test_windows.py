@@ -76,7 +76,7 @@ def test_a_design_says_so(narrow, few_rays):
     images, network = random_images(40, 16, 3, seed=2), trained_network(0)
     settings = settings | {"batch_size": 2}
     request = LensRequest("task", start=narrow, images=images, network=network, settings=settings)
-    result = designs(request, baselines=BASELINES[:1])
+    result = designs(request, baselines=BASELINES)
     with pytest.warns(UserWarning, match=f"rank: task: the {WORDS}"):
         verdict(result, images)
 
