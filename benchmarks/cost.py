@@ -24,7 +24,7 @@ from tasklens.settings.names import SHARP
 from tasklens.settings.network_settings import ClassifierSettings
 from tasklens.study import loading
 from tasklens.study.study import Study
-from tasklens.study.tables import tables
+from tasklens.study.table_contents import tables
 
 RESNET50 = ClassifierSettings(model="resnet50", pretrained=True)
 A100 = 2470.0  # images/s, mixed precision, one A100 80 GB: NVIDIA DeepLearningExamples, ResNet50 v1.5 for PyTorch

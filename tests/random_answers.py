@@ -7,7 +7,7 @@ import pandas
 
 from tasklens.study.claims import Claim
 from tasklens.study.report.measurements import Measurements
-from tasklens.study.tables import MeasuredKey
+from tasklens.study.table_contents import MeasuredKey
 
 PROBABILITY = {  # of a correct answer, in the corner half of it
     "imaging2": 0.5,

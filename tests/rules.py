@@ -17,7 +17,7 @@ from snakemake.workflow import Workflow
 
 from tasklens.runtime import job
 from tasklens.settings import names
-from tasklens.study import claims, tables
+from tasklens.study import claims, table_contents
 from tasklens.study.loading import at_points, parse
 from tasklens.study.study import TABLES, Study
 
@@ -110,7 +110,7 @@ def wildcards_of(name: str, study: Study) -> Iterator[dict]:
         "lens": [names.SHARP, *lenses] if measures else lenses,
         "classifier": study.classifiers,
         "measured_name": [*study.classifiers, *(names.measured(name, True) for name in study.classifiers)],
-        "table": [table for table in TABLES if tables.table(study, table).lenses],
+        "table": [table for table in TABLES if table_contents.table(study, table).lenses],
         "ablation": study.ablations,
         "elements": claims.claims_by_elements(study),
         "task": study.tasks.networks,

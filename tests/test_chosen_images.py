@@ -6,7 +6,7 @@ from examples import write
 
 from tasklens.runtime.files import FileError
 from tasklens.settings.names import SHARP
-from tasklens.study.jobs.captures import choose
+from tasklens.study.jobs.capture import choose
 
 LABELS = ["cat", "dog", "dog", "owl", "fox", "cat"]
 CORRECT = {

@@ -13,7 +13,7 @@ from tasklens.design.single import unused_images
 from tasklens.recognition import class_folders, dataset, folders, user_images
 from tasklens.runtime.files import FileError
 from tasklens.settings.image_settings import ImageSettings
-from tasklens.study.run import ranking
+from tasklens.study.run import ranking_run
 
 
 def images(folder, minival: int = 3) -> ImageSettings:
@@ -146,7 +146,7 @@ def test_a_folder_one_level_too_high_is_refused(folder):
         lambda: user_images.test_images(folder, 16, 10),
         lambda: dataset.training_images(images(folder), folder / "images.npy"),
         lambda: unused_images(folder, 16),
-        lambda: ranking.image_settings(folder, 16, 10, False, False),
+        lambda: ranking_run.image_settings(folder, 16, 10, False, False),
     )
     for door in doors:
         with pytest.raises(FileError, match=f"but deep has train and test; give {folder}/deep$"):

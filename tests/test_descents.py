@@ -33,7 +33,7 @@ from tasklens.settings.layers import merged_settings
 from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
 from tasklens.study.study import StudyError
-from tasklens.study.tables import lens_design
+from tasklens.study.table_contents import lens_design
 
 COARSE = {"steps": 4, "pixels": (20, 10), "step_size": 0.6, "damping": 0.5}
 COLD = {

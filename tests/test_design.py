@@ -22,7 +22,7 @@ from tasklens.optics.psf import psf
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import LearningRates
 from tasklens.study.loading import parse
-from tasklens.study.tables import lens_design
+from tasklens.study.table_contents import lens_design
 
 NAMES = ("COC", "OKP4")
 

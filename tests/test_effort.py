@@ -9,7 +9,7 @@ from examples import tiny_study
 
 from tasklens.study import effort
 from tasklens.study.loading import parse
-from tasklens.study.report import effort as report
+from tasklens.study.report import effort_table as report
 
 DESCENT = {"steps": 5, "pixels": [4, 1]}
 DESIGNS = {

@@ -36,7 +36,7 @@ from tasklens.settings.specification import Spec
 from tasklens.show import between_fields
 from tasklens.study.loading import parse
 from tasklens.study.study import Study, StudyError
-from tasklens.study.tables import lens_design
+from tasklens.study.table_contents import lens_design
 
 HEADLINE = Path(__file__).parents[1] / "docs/results/headline/lenses"
 GRADED, SELECTED = (sum(sets, ()) for sets in (GRADING, SELECTION))

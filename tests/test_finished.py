@@ -21,11 +21,11 @@ from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.runtime.job import user_error
 from tasklens.settings.names import split
 from tasklens.settings.starts import imaging_designs
-from tasklens.study import tables
+from tasklens.study import table_contents
 from tasklens.study.loading import parse
 from tasklens.study.report.page import assembly
 from tasklens.study.study import TABLES
-from tasklens.study.tables import verification
+from tasklens.study.table_contents import verification
 
 pytestmark = pytest.mark.slow
 TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
@@ -230,7 +230,7 @@ def test_the_page_has_every_part(page):
         assert f'download="singlet-{name}.yaml"' in text and f'download="singlet-{name}.zmx"' in text
     assert "Optional tables, not computed: merit function, tolerances" in text
     curves = text.count("over the distance from the axis, in units of that of the corner")
-    assert curves == len(tables.table(STUDY, "table1").lenses)
+    assert curves == len(table_contents.table(STUDY, "table1").lenses)
     assert (page.parent / "answer.svg").exists() and '<table id="claims">' in text
     for name in STUDY.designs:  # the names of designs are explained, below the answer and on hover
         assert f"<dt>{name}</dt>" in text and re.search(rf'<td title="[^"]+"[^>]*>{name}</td>', text), name
@@ -286,7 +286,7 @@ def test_every_picture_has_loaded_and_says_what_it_shows(opened):
     images = opened.execute_script(script)
     captures = read_rows(outputs("captures", STUDY).answers)  # of one network: a row per image
     of_lenses = len(STUDY.designs) * len(("section", "spots", "psfs", "curves"))
-    by_radius = len(tables.table(STUDY, "table1").lenses)
+    by_radius = len(table_contents.table(STUDY, "table1").lenses)
     assert len(images) == 1 + len(captures) + of_lenses + by_radius >= 30
     assert all(loaded and len(words) > 10 for loaded, words in images)
     charts = opened.find_elements(By.CLASS_NAME, "chart")

@@ -14,7 +14,7 @@ from tasklens.optics.analysis.pupil import launch_fields, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import GRAZING, Rays, RayStatus, launch
 from tasklens.optics.surface import Surface
-from tasklens.optics.tracing.reference import reference_trace
+from tasklens.optics.tracing.reference_tracer import reference_trace
 from tasklens.optics.tracing.trace import trace, trace_full
 
 SAMPLES = 2000

@@ -39,7 +39,7 @@ from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
 from tasklens.study.study import StudyError
-from tasklens.study.tables import lens_design
+from tasklens.study.table_contents import lens_design
 
 SPEC = Spec(field_of_view_deg=36, f_number=4, kernel_size=101)
 VIEW = view_of_spec(SPEC)

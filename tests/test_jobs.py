@@ -18,7 +18,7 @@ from tasklens.materials.catalogues import builtin
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.settings.lens_entries import LensDesign
 from tasklens.settings.names import SHARP
-from tasklens.study import built_lenses, claims, tables
+from tasklens.study import built_lenses, claims, table_contents
 from tasklens.study.loading import dump, parse
 from tasklens.study.report_jobs import CapturesJob
 from tasklens.study.study import TABLES, Study, StudyError
@@ -172,7 +172,7 @@ def test_editing_a_plastic_redesigns_the_lenses_that_use_it_and_no_others():
 def test_tables_hold_the_lenses_of_the_paper():
     """Task-driven and imaging designs; end-to-end designs in table 3; all classifiers in table 2."""
     study = parse(tiny_study())
-    by_name = {name: tables.table(study, name) for name in TABLES}
+    by_name = {name: table_contents.table(study, name) for name in TABLES}
     imaging = ("singlet-tasklens", "singlet-image_error", "singlet-imaging1", "singlet-imaging2")
     assert all(by_name[name].lenses == imaging for name in ("table1", "table2", "table4"))
     assert by_name["table3"].lenses == CLASSIFIED
@@ -188,8 +188,8 @@ def test_a_study_may_make_some_of_the_tables():
     expected |= {("verify",), ("captures",), ("report_page",)}
     assert {job for job in before if before[job] != after[job]} == expected
     study = parse(mapping)
-    verified = tables.verification(study)
-    assert tables.table_lenses(study) == verified.lenses == CLASSIFIED
+    verified = table_contents.verification(study)
+    assert table_contents.table_lenses(study) == verified.lenses == CLASSIFIED
     assert {classifier for _, classifier in verified.measured} == {"small"}
     assert {claim.table for claim in claims.claims(study).claims} == {"table3"}
     assert {claim.table for claim in claims.claims(parse(tiny_study())).claims} == {*TABLES}
@@ -201,7 +201,7 @@ def test_lenses_of_other_tables_are_not_designed(table):
     start from, but not the PSF tails of these lenses."""
     mapping = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
     study = parse(mapping | {"tables": [table], "restored": ["doublet"]})
-    contents = tables.table(study, table)
+    contents = table_contents.table(study, table)
     elements = ["doublet"] if table == "table4" else ["singlet", "doublet"]
     designs = [name for name in study.designs if table == "table3" or not name.startswith("end_to_end")]
     others = [path for name in PAGE_JOBS for path in job_of(name, study).outputs.values()]
@@ -241,12 +241,15 @@ def test_an_imported_lens_adds_rows_and_changes_no_other_job():
     study = parse(with_imported())
     for name in TABLES:
         imported = () if name == "table3" else ("quadruplet-phone",)
-        assert tables.table(study, name).lenses == tables.table(parse(tiny_study()), name).lenses + imported
-    assert tables.lens_design(study, "quadruplet-phone", 0).classifier == study.classifier(study.supervisor)
+        assert (
+            table_contents.table(study, name).lenses
+            == table_contents.table(parse(tiny_study()), name).lenses + imported
+        )
+    assert table_contents.lens_design(study, "quadruplet-phone", 0).classifier == study.classifier(study.supervisor)
     as_in_file = parse(changed(with_imported(), "imported.phone.focus", "file"))
-    assert tables.lens_design(as_in_file, "quadruplet-phone", 0).classifier is None
+    assert table_contents.lens_design(as_in_file, "quadruplet-phone", 0).classifier is None
     assert job_of("design", as_in_file, lens="quadruplet-phone", seed=0).reads == [study.imported["phone"].file]
-    assert tables.starts(study, "quadruplet-phone") == ()
+    assert table_contents.starts(study, "quadruplet-phone") == ()
     assert not any("phone" in str(path) for path in job_of("design", study, lens=SUPERVISED[1], seed=0).reads)
 
 
@@ -254,9 +257,9 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
     """Only an end-to-end design from imaging reads them and their accuracies, for its own seed."""
     study = parse(changed(tiny_study(), "elements.doublet", ["COC", "OKP4"]))
     expected = ("doublet-image_error", "doublet-imaging1", "doublet-imaging2")
-    assert tables.starts(study, "doublet-end_to_end_from_imaging") == expected
-    assert tables.starts(study, "doublet-end_to_end_from_flat") == ()
-    assert tables.starts(study, "doublet-tasklens") == ()
+    assert table_contents.starts(study, "doublet-end_to_end_from_imaging") == expected
+    assert table_contents.starts(study, "doublet-end_to_end_from_flat") == ()
+    assert table_contents.starts(study, "doublet-tasklens") == ()
     inputs = job_of("design", study, lens="doublet-end_to_end_from_imaging", seed=3).inputs
     assert [*map(Path, inputs["starts"])] == [lens_file("tiny", name, 3) for name in expected]
     assert [*map(Path, inputs["metrics"])] == [measurement("tiny", name, "small", 3) for name in expected]
@@ -268,7 +271,10 @@ def test_baselines_are_the_imaging_lenses_of_the_same_elements():
 def test_no_design_starts_from_a_lens_that_stops_light():
     """A start has open apertures; without its apertures this would be another lens."""
     study = changed(tiny_study(), "designs.imaging2.vignetting", 0.3)
-    assert tables.starts(parse(study), "singlet-end_to_end_from_imaging") == ("singlet-image_error", "singlet-imaging1")
+    assert table_contents.starts(parse(study), "singlet-end_to_end_from_imaging") == (
+        "singlet-image_error",
+        "singlet-imaging1",
+    )
     with pytest.raises(StudyError, match=r"'imaging2' cannot be the start .* image_error, imaging1, end_to_end"):
         parse(changed(study, "designs.tasklens.start", ["imaging2"]))
 
@@ -289,7 +295,7 @@ def test_a_joint_design_starts_from_the_best_after_fine_tuning():
     assert len(inputs["metrics"]) == 2 and not inputs["candidates"]
     frozen = changed(tiny_study(), "designs.frozen", JOINT | {"start": ["image_error", "imaging2"]})
     frozen = changed(frozen, "designs.frozen.descents", [{"steps": 2}])
-    settings = tables.lens_design(parse(frozen), "singlet-frozen", 3)
+    settings = table_contents.lens_design(parse(frozen), "singlet-frozen", 3)
     assert settings.candidates == ("singlet-image_error", "singlet-imaging2") and not settings.starts
     assert len(job_of("design", parse(frozen), lens="singlet-frozen", seed=3).inputs["candidates"]) == 2
 
@@ -298,10 +304,10 @@ def test_a_joint_design_is_task_driven_unless_it_comes_from_flat_plates():
     """From other lenses it is in every table and keeps the limits; from plates it is only in table 3 and may fail."""
     study = changed(tiny_study(), "designs.joint", JOINT)
     study = parse(changed(study, "designs.flat", JOINT | {"start": "flat", "descents": 2 * JOINT["descents"]}))
-    table_lenses = {name: tables.table(study, name).lenses for name in TABLES}
+    table_lenses = {name: table_contents.table(study, name).lenses for name in TABLES}
     assert all("singlet-joint" in lenses for lenses in table_lenses.values())
     assert [name for name, lenses in table_lenses.items() if "singlet-flat" in lenses] == ["table3"]
-    constrained = tables.verification(study).constrained
+    constrained = table_contents.verification(study).constrained
     assert "singlet-joint" in constrained and "singlet-flat" not in constrained
     lens_claims = {(claim.text, claim.lens, claim.baselines) for claim in claims.claims(study).claims}
     assert (claims.OVER_START, "singlet-joint", ("singlet-tasklens", "singlet-imaging2")) in lens_claims
@@ -318,7 +324,7 @@ def test_a_specification_of_its_own_changes_the_lenses_of_these_elements_alone()
     doublets = {job for job in before if job[0] in of_a_lens and job[1].startswith("doublet")}
     assert changed_jobs == doublets | {("psf_tail_table",), ("verdicts_table",), ("verify",), ("report_page",)}
     both = parse(changed(study, "specs", {"doublet": {"field_of_view_deg": 60.0}}))
-    efl_mm = tables.verification(both).efl_mm
+    efl_mm = table_contents.verification(both).efl_mm
     assert efl_mm["singlet-imaging1"] == both.spec.efl_mm < efl_mm["doublet-imaging1"]
     assert parse(yaml.safe_load(dump(both))) == both
 
@@ -371,14 +377,14 @@ def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_p
         arguments.update(locals())
         write(checkpoint.path, "")
 
-    monkeypatch.setattr("tasklens.study.jobs.design.run", work)
+    monkeypatch.setattr("tasklens.study.jobs.design_lens.run", work)
     job.run()
-    assert arguments["settings"] == tables.lens_design(study, lens, 4)
+    assert arguments["settings"] == table_contents.lens_design(study, lens, 4)
     assert (
         arguments["weights"] == Path("results/tiny/classifiers/reference/small.safetensors")
         and arguments["files"] == []
     )
-    assert arguments["starts"] == [lens_file("tiny", name, 4) for name in tables.starts(study, lens)]
+    assert arguments["starts"] == [lens_file("tiny", name, 4) for name in table_contents.starts(study, lens)]
     assert arguments["history"] == lens_file("tiny", lens, 4, "history.csv")
     assert re.fullmatch(rf"design-{lens}-seed4-[0-9a-f]{{16}}\.pt", arguments["checkpoint"].path.name)
     assert list(folder.iterdir()) == [another]

@@ -21,7 +21,7 @@ from tasklens.study.claims import (
     OVER_LEAST_SQUARES,
     PAPER_CLAIMS,
 )
-from tasklens.study.report.page import assembly, captures, charts, tables, words
+from tasklens.study.report.page import assembly, page_captures, page_charts, page_tables, words
 from tasklens.study.report.verdicts import verdict
 
 KNOWN = 0.001  # p-value of a difference that is significant
@@ -180,11 +180,11 @@ TABLE = pandas.DataFrame(
 
 
 @pytest.fixture(scope="module")
-def built_table() -> tables.Table:
-    return tables.build("table1", "Table 1", TABLE)
+def built_table() -> page_tables.Table:
+    return page_tables.build("table1", "Table 1", TABLE)
 
 
-def cells(table: tables.Table, heading: str, paper: bool = False) -> list[tables.Cell]:
+def cells(table: page_tables.Table, heading: str, paper: bool = False) -> list[page_tables.Cell]:
     """The cells of a column."""
     index = [(column.words, column.paper) for column in table.columns].index((heading, paper))
     return [row[index] for row in table.rows]
@@ -221,26 +221,26 @@ def test_violated_limits_are_marked(built_table):
 
 
 def test_a_chart_has_a_point_per_lens_and_names_the_most_accurate():
-    chart = charts.accuracy_over_rms(TABLE)
+    chart = page_charts.accuracy_over_rms(TABLE)
     assert chart is not None and "for 4 lenses. Most accurate: doublet tasklens, 71.0 % at 12.0 um" in chart.words
-    assert charts.accuracy_over_rms(TABLE[:1]) is None  # sharp images only
+    assert page_charts.accuracy_over_rms(TABLE[:1]) is None  # sharp images only
 
 
 def test_accuracy_by_radius_is_a_line_per_design_from_axis_to_corner():
     """Mean over seeds, of the designs of one name of elements; dotted lines where designs see; None without fields."""
     rows = {"elements": ["", "doublet", "doublet", "triplet"], "design": ["reference", "task", "task", "task"]}
     rows |= {"accuracy_field0": [None, 80.0, 70.0, 98.0], "accuracy_field1": [None, 90.0, 94.0, 99.0]}
-    chart = charts.accuracy_by_radius("doublet", pandas.DataFrame(rows), (0.875, 0.125), ())
+    chart = page_charts.accuracy_by_radius("doublet", pandas.DataFrame(rows), (0.875, 0.125), ())
     (line,) = json.loads(chart.json)["data"]
     assert (line["name"], line["x"], line["y"]) == ("task", [0.125, 0.875], [92.0, 75.0])
     assert "Farthest out: task 75.0. Designs see fields drawn over the whole sensor." in chart.words
     corner = pandas.DataFrame(rows | {"corner_accuracy": [None, 60.0, 50.0, 90.0]})
-    chart = charts.accuracy_by_radius("doublet", corner, (0.875, 0.125), (0.0, 0.5, 0.5, 1.0))
+    chart = page_charts.accuracy_by_radius("doublet", corner, (0.875, 0.125), (0.0, 0.5, 0.5, 1.0))
     content = json.loads(chart.json)
     assert (content["data"][0]["x"][-1], content["data"][0]["y"][-1]) == (1.0, 55.0)
     assert [line["x0"] for line in content["layout"]["shapes"]] == [0.0, 0.5, 1.0]
     assert "Farthest out: task 55.0. Dotted: fields that designs see." in chart.words
-    assert charts.accuracy_by_radius("doublet", TABLE, (0.125, 0.875), ()) is None
+    assert page_charts.accuracy_by_radius("doublet", TABLE, (0.125, 0.875), ()) is None
 
 
 def test_a_class_may_be_called_by_a_number(tmp_path):
@@ -250,7 +250,7 @@ def test_a_class_may_be_called_by_a_number(tmp_path):
     head = "image,label,lens,field,restored,classifier,answer,probability,psnr_db\n"
     rows = "3,7,sharp,,False,a,7,90.0,\n3,7,lens,axis,False,a,7,80.0,20\n3,7,lens,axis,False,b,007,80.0,20\n"
     write(tmp_path / "answers.csv", head + rows)
-    (example,) = captures.read(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
+    (example,) = page_captures.read(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
     assert [answer["right"] for answer in example.captures["lens", False][0].answers] == [True, False]
     assert example.label == "7"
 

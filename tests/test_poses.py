@@ -16,7 +16,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import chief_points, ray_fans
 from tasklens.optics.lens import Lens, Pose
 from tasklens.optics.rays import Rays, launch
-from tasklens.optics.tracing.reference import reference_trace
+from tasklens.optics.tracing.reference_tracer import reference_trace
 from tasklens.optics.tracing.trace import linearise, trace, trace_full
 
 TILTED = SHIPPED / "reference" / "tilted.json"

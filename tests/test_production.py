@@ -18,7 +18,7 @@ from tasklens.design.production import Production
 from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
-from tasklens.optics.tolerancing.errors import draw, errors
+from tasklens.optics.tolerancing.manufacturing_errors import draw, errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint

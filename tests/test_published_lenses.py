@@ -15,7 +15,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.settings.specification import Constraints
 from tasklens.study import loading
 from tasklens.study.report import answers_file
-from tasklens.study.tables import MeasuredKey
+from tasklens.study.table_contents import MeasuredKey
 
 ROOT = Path(__file__).parents[1]
 PUBLISHED = ROOT / "docs/results/photographs"

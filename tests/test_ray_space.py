@@ -28,7 +28,7 @@ from tasklens.optics.view import view_of_spec
 from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.settings.specification import Constraints, Spec
 from tasklens.study.loading import parse
-from tasklens.study.tables import lens_design
+from tasklens.study.table_contents import lens_design
 
 
 @pytest.mark.parametrize("step_size", [0.5, 5.0])

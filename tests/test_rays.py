@@ -10,7 +10,7 @@ from tasklens.materials.catalogues import builtin
 from tasklens.optics.aspheres import radial_slope, sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import RayStatus, launch
-from tasklens.optics.tracing.reference import reference_trace
+from tasklens.optics.tracing.reference_tracer import reference_trace
 from tasklens.optics.tracing.trace import trace
 
 

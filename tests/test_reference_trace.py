@@ -20,7 +20,7 @@ from examples import (
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus, launch
 from tasklens.optics.surface import Surface
-from tasklens.optics.tracing.reference import reference_trace
+from tasklens.optics.tracing.reference_tracer import reference_trace
 from tasklens.optics.tracing.trace import trace
 
 SEEDS = range(2)

@@ -13,7 +13,7 @@ from torch import Tensor
 
 import tasklens
 from tasklens.camera.blend import SensorPsfs, blend
-from tasklens.camera.charts import resolution_chart
+from tasklens.camera.resolution_chart import resolution_chart
 from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.cli.app import main
 from tasklens.optics.analysis.illumination import relative_illumination

@@ -5,6 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from graphlib import TopologicalSorter
 from pathlib import Path
 
@@ -87,7 +88,7 @@ def test_modules_of_a_room_do_not_import_in_a_circle():
 def test_only_the_jobs_that_measure_import_restoration():
     users = {module for module, imported in IMPORTS.items() if any(name.startswith("restoration") for name in imported)}
     outside_users = {user for user in users if not user.startswith("restoration")}
-    assert outside_users == {f"tasklens.study.jobs.{name}" for name in ("restore", "classify", "captures")}
+    assert outside_users == {f"tasklens.study.jobs.{name}" for name in ("restore", "classify", "capture")}
 
 
 def imported_with(modules: list[str], heavy: tuple[str, ...]) -> str:
@@ -116,7 +117,7 @@ def test_parsing_a_study_needs_no_torch():
 
 
 def test_tables_need_no_torch():
-    names = ("tables", "verdicts", "verification", "ablations", "measurements")
+    names = ("tables", "verdicts", "verification", "ablation_table", "measurements")
     modules = [f"tasklens.study.report.{name}" for name in names]
     assert imported_with([*modules, "tasklens.show.bootstrap", "tasklens.show.publish"], ("torch", "matplotlib")) == ""
 
@@ -126,22 +127,22 @@ NETWORKS = ("timm", "torchvision", "kornia", "torch._dynamo")
 
 UNUSED = {  # by jobs
     "images": (*NETWORKS, "numba", "scipy.fft", "pandas", "matplotlib"),
-    "design": ("pandas", "matplotlib"),
-    "captures": ("numba", "matplotlib", "torchvision.transforms.v2"),
+    "design_lens": ("pandas", "matplotlib"),
+    "capture": ("numba", "matplotlib", "torchvision.transforms.v2"),
     "psf_tail": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib"),
-    "certificate": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
+    "certify": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
     "drawing": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
     "restore": ("numba", "pandas", "matplotlib"),
-    "production": ("torchvision.transforms.v2", "matplotlib"),
-    "reference": ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2"),
+    "produce": ("torchvision.transforms.v2", "matplotlib"),
+    "train_classifier": ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2"),
     "classify": ("numba", "pandas", "matplotlib", "torchvision.transforms.v2"),
 }
 
 
 CHAINS = [  # each job leaves out at least what the next ones do, so that one process imports them in turn
-    ["images", "reference", "classify", "captures", "production"],
-    ["restore", "design"],
-    ["psf_tail", "certificate", "drawing"],
+    ["images", "train_classifier", "classify", "capture", "produce"],
+    ["restore", "design_lens"],
+    ["psf_tail", "certify", "drawing"],
 ]
 
 
@@ -159,7 +160,9 @@ def test_jobs_import_what_they_use():
 
 
 def test_a_module_holds_one_idea():
-    assert not {path.stem for path in MODULES} & {"utils", "util", "helpers", "common", "misc"}
+    stems = [path.stem for path in MODULES if path.stem != "__init__"]
+    assert not {*stems} & {"utils", "util", "helpers", "common", "misc"}
+    assert [name for name, count in Counter(stems).items() if count > 1] == []
     assert [name_of(path) for path in MODULES if len(path.read_text().splitlines()) >= 300] == []
 
 
@@ -258,7 +261,7 @@ MODULES_OF = {
     "tasklens.study.report.measurements": MEASUREMENTS,
     "tasklens.show.publish": TABLES | JUDGE | {"sweep_table"},
     "restoration.nafnet": SEE,
-    "tasklens.study.jobs.design": {"design"},
+    "tasklens.study.jobs.design_lens": {"design"},
     "tasklens.optics.analysis.diffraction": OPTICS,
     "tasklens.study.jobs.classify": SEE - {"restore", "captures"},
     "tasklens.optics.analysis.tail": {"psf_tail_table", *FIGURES},
@@ -284,7 +287,7 @@ EDITS = [  # file, old, new, rules whose digests change
     ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread', set()),
     ("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices", set()),
     ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n", set()),
-    ("tasklens/study/jobs/design.py", '"""Write the prescription', '"""Write a prescription', set()),
+    ("tasklens/study/jobs/design_lens.py", '"""Write the prescription', '"""Write a prescription', set()),
 ]
 
 

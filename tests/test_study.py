@@ -16,7 +16,7 @@ from tasklens.study.claims import OVER_END_TO_END, claims
 from tasklens.study.loading import dump, load, parse, read, with_base_study, without_null
 from tasklens.study.schema import schema
 from tasklens.study.study import StudyError
-from tasklens.study.tables import starts
+from tasklens.study.table_contents import starts
 
 STUDIES = studies_we_ship()
 

@@ -16,7 +16,7 @@ from tasklens.study.loading import dump, parse
 from tasklens.study.report import tables
 from tasklens.study.report.measurements import has_failed
 from tasklens.study.study import TABLES
-from tasklens.study.tables import table as table_of
+from tasklens.study.table_contents import table as table_of
 
 PAPER_VALUES = Path(tables.__file__).with_name("paper.csv")
 FIELDS, CHANCE, REFERENCE = 9, 10.0, 90.0

@@ -27,9 +27,9 @@ from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.settings.specification import Spec
-from tasklens.study.jobs import design as design_job
+from tasklens.study.jobs import design_lens as design_job
 from tasklens.study.loading import parse
-from tasklens.study.tables import lens_design
+from tasklens.study.table_contents import lens_design
 
 
 def test_frozen_network_stays_frozen(start, few_rays):

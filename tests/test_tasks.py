@@ -25,9 +25,9 @@ from tasklens.recognition.scores import Detections
 from tasklens.runtime.errors import InputError
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.task_settings import SceneSettings, TaskSettings
-from tasklens.study import claims, tables, task_jobs
+from tasklens.study import claims, table_contents, task_jobs
 from tasklens.study.loading import parse
-from tasklens.study.report import tasks as report_tasks
+from tasklens.study.report import task_table as report_tasks
 from tasklens.study.run.outcome import outcome
 from tasklens.study.study import StudyError
 
@@ -306,7 +306,7 @@ def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch, few_rays):
     lenses = [prescription.read(paths.lens)[0].lens for paths in (start, final)]
     assert not torch.equal(lenses[0].curvature, lenses[1].curvature)
     assert yaml.safe_load(Path(final.lens).read_text())["origin"]["start"] == "singlet-imaging1"
-    assert all("singlet-for_boxes" not in tables.table(study, name).lenses for name in study.tables)
+    assert all("singlet-for_boxes" not in table_contents.table(study, name).lenses for name in study.tables)
     assert task_jobs.tasks(study).lenses[-1] == "singlet-for_boxes"
     assert not any("for_boxes" in lens for claim in claims.claims(study).claims for lens in claim.lenses)
 

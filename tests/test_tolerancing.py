@@ -17,7 +17,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
 from tasklens.optics.lens import Lens, Melt
 from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.errors import DEVIATION, draw, elements, errors, with_errors
+from tasklens.optics.tolerancing.manufacturing_errors import DEVIATION, draw, elements, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import View
 from tasklens.settings.tolerance_settings import GRADES, Grade

@@ -13,7 +13,7 @@ from study_results import IMAGES, write_results
 
 from tasklens.runtime.files import FileError
 from tasklens.show.bootstrap import holm
-from tasklens.study import claims, tables
+from tasklens.study import claims, table_contents
 from tasklens.study.claims import (
     FEWER_ELEMENTS,
     FLAT_FAILS,
@@ -89,7 +89,7 @@ def test_claims_after_restoration_are_about_what_is_restored():
     """Table 4 compares doublets with doublets only; the claims of other tables stay."""
     study = study_of(1)
     only = parse(yaml.safe_load(dump(study)) | {"restored": ["doublet"]})
-    assert {lens.partition("-")[0] for lens in tables.table(only, "table4").lenses} == {"doublet"}
+    assert {lens.partition("-")[0] for lens in table_contents.table(only, "table4").lenses} == {"doublet"}
     doublet_claims, all_claims = claims.claims(only).claims, claims.claims(study).claims
     assert [c for c in doublet_claims if c.table != "table4"] == [c for c in all_claims if c.table != "table4"]
     restored = [c for c in doublet_claims if c.table == "table4"]

@@ -10,7 +10,7 @@ from examples import changed, measurements_of, tiny_study, with_imported, write
 from rules import finish, outputs
 
 from tasklens.settings.names import SHARP
-from tasklens.study import tables
+from tasklens.study import table_contents
 from tasklens.study.loading import parse
 from tasklens.study.report import verification
 
@@ -43,7 +43,7 @@ def results(tmp_path, monkeypatch, folder):
 
 
 def write_files(study) -> None:
-    for lens, name in tables.verification(study).measured:
+    for lens, name in table_contents.verification(study).measured:
         right = [int(k % 4 > 0) for k in range(IMAGES)]
         fields = {f"field{k}": right for k in range(1 if lens == SHARP else FIELDS)}
         frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | fields)
@@ -60,7 +60,7 @@ def write_files(study) -> None:
     for lens in study.lenses:
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm)))
     for name in study.tables:
-        if tables.table(study, name).lenses:
+        if table_contents.table(study, name).lenses:
             finish("table", study, table=name)
 
 
@@ -94,8 +94,8 @@ def lens_content(efl_mm, **margins) -> dict:
 
 def verify(study, **changes) -> verification.Findings:
     """Findings in the files of the job; `changes` are changes of its settings."""
-    contents = tables.verification(study).model_copy(update=changes)
-    every = tables.verification(study)
+    contents = table_contents.verification(study).model_copy(update=changes)
+    every = table_contents.verification(study)
     anew = {key: outputs("reproduce", study, **wildcards_of(key)).predictions for key in every.measured_keys}
     csv_paths = {entry.name: outputs("table", study, table=entry.name).csv for entry in every.tables}
     return verification.verify(contents, measurements_of(study.name, every), anew, csv_paths)
@@ -145,7 +145,7 @@ def test_the_focal_length_is_kept_to_2_percent(study, part, kept):
 
 def test_a_lens_that_is_not_constrained_is_reported_only(study):
     write(lens_file(study, LENS), yaml.safe_dump(lens_content(9.0, max_slope=-0.1)))
-    settings = tables.verification(study)
+    settings = table_contents.verification(study)
     assert settings.constrained == settings.lenses == tuple(study.lenses)
     findings = verify(study, constrained=("singlet-tasklens",))
     assert not findings.failures
@@ -155,7 +155,7 @@ def test_a_lens_that_is_not_constrained_is_reported_only(study):
 
 def test_every_lens_is_constrained_but_end_to_end_from_flat_and_the_imported():
     study = parse(with_imported())
-    settings = tables.verification(study)
+    settings = table_contents.verification(study)
     assert {*settings.lenses} - {*settings.constrained} == {"singlet-end_to_end_from_flat", "quadruplet-phone"}
 
 
@@ -188,7 +188,7 @@ def test_a_supervised_lens_that_is_no_local_optimum_is_named(study):
 
 def test_which_lenses_must_be_local_optima():
     """Constrained lenses designed by captures or PSFs: neither by spots, nor by least squares, nor imported ones."""
-    lenses = tables.verification(parse(with_imported())).with_optimum
+    lenses = table_contents.verification(parse(with_imported())).with_optimum
     assert lenses == ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")
 
 

@@ -12,7 +12,7 @@ from tasklens.materials.material import model_glass
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.analysis.spots import chief_rays
-from tasklens.optics.io.fields import field_tangents
+from tasklens.optics.io.prescribed_fields import field_tangents
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace, trace_full

@@ -11,7 +11,7 @@ from expected_jobs import PAGE_JOBS, expected, expected_of_everything
 from rules import ROOT, every_job
 from workflows import forked, plan, smoke_with_imported
 
-from tasklens.study import tables as paper_tables
+from tasklens.study import table_contents
 from tasklens.study.loading import at_points, load, parse
 
 STUDIES = studies_we_ship()
@@ -74,7 +74,7 @@ def test_tables_without_lenses_are_left_out(tmp_path):
     study = tiny_study() | {"designs": {"imaging2": {"method": "least_squares"}}}
     del study["classifiers"]["other"]
     count = plan(tmp_path, study, "tables")["table"]
-    assert 0 < count == len(paper_tables.tables(parse(study))) < len(parse(study).tables)
+    assert 0 < count == len(table_contents.tables(parse(study))) < len(parse(study).tables)
     status, output = forked(tmp_path, study, "--dry-run", "table3")
     assert status != 0 and "table3: the study has no lens for this table; add a design" in output
 

@@ -13,10 +13,10 @@ from tasklens.optics.analysis.spots import lit_semi_diameters, trace_fields
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.tolerancing import yields
-from tasklens.optics.tolerancing.errors import errors
+from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.view import View
 from tasklens.settings.tolerance_settings import GRADES, Grade
-from tasklens.show.yields import summary
+from tasklens.show.yield_tables import summary
 
 VIEW = View(f64([[0.0, 0.0], [0.0, 9.0], [0.0, 18.0]]), 50.0, (0.5876,), 20.0, 51)
 FINE = Grade.model_validate({name: 0.02 * value for name, value in GRADES["precision_moulding"].items()})

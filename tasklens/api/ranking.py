@@ -32,9 +32,9 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, write_text
 from tasklens.runtime.tensors import explained
 from tasklens.show import between_fields, headings
-from tasklens.show import ranking as report
+from tasklens.show import lens_ranks as report
 from tasklens.show.figures import section_svg
-from tasklens.show.ranking import Rank
+from tasklens.show.lens_ranks import Rank
 
 _RAYS = 4096  # rays of each field and colour
 

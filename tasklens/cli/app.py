@@ -6,7 +6,7 @@ Only commands that need torch import it.
 import typer
 from typer.main import get_command
 
-from tasklens.cli import captures, design, lens, rank, study
+from tasklens.cli import capture_commands, design_command, lens_commands, rank_command, study_commands
 from tasklens.runtime.job import exit_status, run_program
 
 app = typer.Typer(
@@ -14,12 +14,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-for _command in (captures.simulate, captures.captures):
-    lens.app.command()(_command)
-app.add_typer(lens.app, name="lens", help="Inspect lenses: .yaml or Zemax .zmx files.")
-app.command()(design.design)
-app.command()(rank.rank)
-app.add_typer(study.app, name="study", help="Compare lenses, networks and seeds in a study, which `snakemake` runs.")
+for _command in (capture_commands.simulate, capture_commands.captures):
+    lens_commands.app.command()(_command)
+app.add_typer(lens_commands.app, name="lens", help="Inspect lenses: .yaml or Zemax .zmx files.")
+app.command()(design_command.design)
+app.command()(rank_command.rank)
+app.add_typer(
+    study_commands.app, name="study", help="Compare lenses, networks and seeds in a study, which `snakemake` runs."
+)
 
 
 @app.callback()

@@ -18,7 +18,7 @@ from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, t
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
-from tasklens.optics.tolerancing.errors import draw, errors, with_errors
+from tasklens.optics.tolerancing.manufacturing_errors import draw, errors, with_errors
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.devices import random_state, set_random_state

@@ -13,7 +13,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.errors import Error, draw, with_errors
+from tasklens.optics.tolerancing.manufacturing_errors import Error, draw, with_errors
 from tasklens.optics.view import View
 from tasklens.recognition.evaluation import CapturePipeline, classify
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint

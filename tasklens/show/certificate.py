@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 import pandas
 
 from tasklens.optics.analysis.shapes import Shape
-from tasklens.optics.tolerancing.errors import DEVIATION
+from tasklens.optics.tolerancing.manufacturing_errors import DEVIATION
 from tasklens.show.optimality import optimum
 from tasklens.show.publish import right_aligned
 

@@ -7,7 +7,7 @@ from tasklens.settings.network_settings import ClassifierSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import ToleranceSettings
 from tasklens.study.study import Study, StudyError
-from tasklens.study.tables import SeededLenses, chosen_lenses
+from tasklens.study.table_contents import SeededLenses, chosen_lenses
 
 
 class ProductionJob(Frozen):

@@ -12,7 +12,7 @@ from tasklens.settings.lens_entries import LensEntry
 from tasklens.settings.names import SHARP
 from tasklens.settings.starts import best_of, imaging_designs
 from tasklens.study.study import Study, pick
-from tasklens.study.tables import LensKey, MeasuredKey, starts, tables
+from tasklens.study.table_contents import LensKey, MeasuredKey, starts, tables
 
 IMAGING1 = "imaging1"  # the paper's spot minimisation
 

@@ -5,7 +5,7 @@ from tasklens.settings.frozen import Frozen
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study.study import Study
-from tasklens.study.tables import LensKey, candidates, starts, table_lenses
+from tasklens.study.table_contents import LensKey, candidates, starts, table_lenses
 
 
 class Effort(Frozen):

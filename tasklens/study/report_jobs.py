@@ -11,13 +11,13 @@ from tasklens.settings.network_settings import ClassifierSettings, RestorationSe
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
 from tasklens.study import claims as paper_claims
-from tasklens.study import tables as paper_tables
+from tasklens.study import table_contents
 from tasklens.study.claims import Claims, PaperClaim
 from tasklens.study.descriptions import description
 from tasklens.study.loading import dump
 from tasklens.study.study import RankingSettings, Study, StudyError
 from tasklens.study.sweep import points
-from tasklens.study.tables import LensKey, MeasuredKey, SeededLenses, SeededMeasurements
+from tasklens.study.table_contents import LensKey, MeasuredKey, SeededLenses, SeededMeasurements
 
 
 class DrawingJob(Frozen):
@@ -75,7 +75,7 @@ class CapturesJob(SeededMeasurements):
     @classmethod
     def of(cls, study: Study) -> "CapturesJob":
         """Return the settings of the job."""
-        contents = paper_tables.verification(study)
+        contents = table_contents.verification(study)
         used = dict.fromkeys(names.split(name)[0] for _, name in contents.measured)
         restored = any(names.split(name)[1] for _, name in contents.measured)
         chosen_by: dict[str, str] = {}  # unrestored captures come first, where they are measured
@@ -119,7 +119,7 @@ class TailsJob(SeededLenses):
     @classmethod
     def of(cls, study: Study) -> "TailsJob":
         """Return the settings of the job."""
-        lenses = paper_tables.table_lenses(study)
+        lenses = table_contents.table_lenses(study)
         specs = {lens: study.lens_spec(lens) for lens in lenses}
         keys = {"study": study.name, "lenses": lenses, "seeds": study.seeds, "rays": study.evaluation_rays}
         return cls(**keys, specs=specs, fields=study.fields.grading_points)
@@ -147,7 +147,7 @@ class RankingJob(SeededMeasurements):
     @classmethod
     def of(cls, study: Study) -> "RankingJob":
         """Return the settings of the job."""
-        lenses = paper_tables.table(study, "table1").lenses
+        lenses = table_contents.table(study, "table1").lenses
         return cls(
             study=study.name,
             lenses=lenses,
@@ -177,7 +177,7 @@ class MeritFunctionJob(SeededLenses):
     @classmethod
     def of(cls, study: Study) -> "MeritFunctionJob":
         """Return the settings of the job."""
-        contents = paper_tables.table(study, "table2" if "table2" in study.tables else "table1")
+        contents = table_contents.table(study, "table2" if "table2" in study.tables else "table1")
         return cls(
             study=study.name,
             lenses=contents.lenses,
@@ -231,7 +231,7 @@ class ReportJob(Frozen):
     @classmethod
     def of(cls, study: Study) -> "ReportJob":
         """Return the settings of the job."""
-        contents = paper_tables.verification(study)
+        contents = table_contents.verification(study)
         entries = {lens: study.lens(lens) for lens in contents.lenses}
         return cls(
             study=study.name,
@@ -279,5 +279,5 @@ class SweepJob(Frozen):
         return cls(
             study=study.name,
             points=grid,
-            tables=tuple((p, table.name) for p in grid for table in paper_tables.tables(study)),
+            tables=tuple((p, table.name) for p in grid for table in table_contents.tables(study)),
         )

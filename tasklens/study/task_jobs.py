@@ -8,7 +8,7 @@ from tasklens.settings.names import SHARP
 from tasklens.settings.task_settings import SceneSettings, TaskSettings
 from tasklens.study.job_settings import lens_columns, source
 from tasklens.study.study import Study, StudyError
-from tasklens.study.tables import LensKey, chosen_lenses
+from tasklens.study.table_contents import LensKey, chosen_lenses
 
 
 class ScenesJob(Frozen):

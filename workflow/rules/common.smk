@@ -11,11 +11,11 @@ from tasklens.settings import names
 from tasklens.study import built_lenses, job_settings, report_jobs, task_jobs
 from tasklens.study import claims as paper_claims
 from tasklens.study import effort as paper_effort
-from tasklens.study import tables as paper_tables
+from tasklens.study import table_contents
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study.loading import parts, whole_study_name
 from tasklens.study.study import StudyError
-from tasklens.study.tables import LensKey, MeasuredKey
+from tasklens.study.table_contents import LensKey, MeasuredKey
 
 
 def flag(name, default):
@@ -131,7 +131,7 @@ def lenses_of_table1(name):
     """Return the lenses in table 1 of a study, and the sharp images, each with the number of its element count."""
     study = study_named(name)
     order = {elements: number for number, elements in enumerate(study.elements)}
-    lenses = paper_tables.table(study, "table1").lenses if "table1" in study.tables else ()
+    lenses = table_contents.table(study, "table1").lenses if "table1" in study.tables else ()
     return {names.SHARP: 0} | {lens: order.get(study.lens(lens).elements, len(order)) for lens in lenses}
 
 

@@ -7,8 +7,8 @@ rule design:
         train=design_images,
         weights=design_weights,
         files=imported_files,
-        candidates=prescriptions(paper_tables.candidates),
-        starts=prescriptions(paper_tables.starts),
+        candidates=prescriptions(table_contents.candidates),
+        starts=prescriptions(table_contents.starts),
         metrics=start_metrics,
     output:
         lens="results/{study}/lenses/{lens}/seed{seed}/lens.yaml",
@@ -21,8 +21,8 @@ rule design:
     resources:
         **needs("design") | {"gpu": lambda w: int(GPUS and study_of(w).lens(w.lens).reads_images)},
     params:
-        **call("tasklens.study.jobs.design.run"),
-        settings=settings(paper_tables.lens_design),
+        **call("tasklens.study.jobs.design_lens.run"),
+        settings=settings(table_contents.lens_design),
     script:
         "../scripts/job.py"
 

@@ -22,7 +22,7 @@ rule certificate:
     resources:
         **needs("certificate"),
     params:
-        **call("tasklens.study.jobs.certificate.run"),
+        **call("tasklens.study.jobs.certify.run"),
         settings=settings(report_jobs.CertificateJob.of),
     script:
         "../scripts/job.py"
@@ -133,7 +133,7 @@ rule captures:
     resources:
         **needs("captures", gpu=1),
     params:
-        **call("tasklens.study.jobs.captures.run"),
+        **call("tasklens.study.jobs.capture.run"),
         settings=settings(report_jobs.CapturesJob.of),
     script:
         "../scripts/job.py"

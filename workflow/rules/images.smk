@@ -45,7 +45,7 @@ rule reference:
     resources:
         **needs("reference", gpu=1),
     params:
-        **call("tasklens.study.jobs.reference.run"),
+        **call("tasklens.study.jobs.train_classifier.run"),
         settings=settings(lambda study, classifier: study.classifier(classifier)),
     script:
         "../scripts/job.py"

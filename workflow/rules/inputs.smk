@@ -38,7 +38,7 @@ def prescriptions(lenses):
 def start_metrics(wildcards):
     """Return the measurements of the lenses, the most accurate of which is the start of a design."""
     study = study_of(wildcards)
-    lenses = paper_tables.starts(study, wildcards.lens)
+    lenses = table_contents.starts(study, wildcards.lens)
     keys = [MeasuredKey(lens, study.supervisor, wildcards.seed) for lens in lenses]
     return paths_of(rules.fine_tune.output.metrics, study, keys)
 
@@ -64,7 +64,7 @@ def supervisor_weights(wildcards):
 
 def table_of(study, table):
     """Return the contents of a table of the paper."""
-    contents = paper_tables.table(study, table)
+    contents = table_contents.table(study, table)
     if not contents.lenses:
         raise StudyError(f"{table}: the study has no lens for this table; add a design")
     return contents
@@ -105,7 +105,7 @@ def optional_files(wildcards):
 def tables_of(pattern):
     """Return a function from wildcards to the files of all tables on a page."""
     return lambda w: [
-        path_of(pattern, study_of(w), table=contents.name) for contents in paper_tables.tables(study_of(w))
+        path_of(pattern, study_of(w), table=contents.name) for contents in table_contents.tables(study_of(w))
     ]
 
 
@@ -123,7 +123,7 @@ def verification(study):
         raise StudyError(
             "verify: a sweep is verified point by point, with --configfile results/<study>/<point>/study.yaml"
         )
-    return paper_tables.verification(study)
+    return table_contents.verification(study)
 
 
 def no_ablation(wildcards):

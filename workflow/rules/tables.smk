@@ -64,7 +64,7 @@ rule ablation:
     resources:
         **needs("ablation"),
     params:
-        **call("tasklens.study.report.ablations.make"),
+        **call("tasklens.study.report.ablation_table.make"),
         settings=settings(lambda study, ablation: paper_claims.ablation_claims(study, ablation)),
     script:
         "../scripts/job.py"
@@ -109,7 +109,7 @@ rule effort_table:
     resources:
         **needs("effort_table"),
     params:
-        **call("tasklens.study.report.effort.make"),
+        **call("tasklens.study.report.effort_table.make"),
         settings=settings(paper_effort.effort),
         unawaited=design_benchmarks,
     script:
@@ -134,7 +134,7 @@ rule ranking_table:
     resources:
         **needs("ranking_table"),
     params:
-        **call("tasklens.study.report.ranking.make"),
+        **call("tasklens.study.report.ranking_table.make"),
         settings=settings(report_jobs.RankingJob.of),
     script:
         "../scripts/job.py"
@@ -220,7 +220,7 @@ rule sweep_table:
     resources:
         **needs("sweep_table"),
     params:
-        **call("tasklens.study.report.sweep.make"),
+        **call("tasklens.study.report.sweep_table.make"),
         settings=settings(report_jobs.SweepJob.of),
     script:
         "../scripts/job.py"

@@ -15,7 +15,7 @@ rule scenes:
     resources:
         **needs("scenes"),
     params:
-        **call("tasklens.study.jobs.scenes.run"),
+        **call("tasklens.study.jobs.render_scenes.run"),
         settings=settings(task_jobs.ScenesJob.of),
     script:
         "../scripts/job.py"
@@ -38,7 +38,7 @@ rule task_reference:
     resources:
         **needs("task_reference", gpu=1),
     params:
-        **call("tasklens.study.jobs.tasks.train"),
+        **call("tasklens.study.jobs.measure_tasks.train"),
         settings=settings(task_jobs.TaskTrainingJob.of),
     script:
         "../scripts/job.py"
@@ -61,7 +61,7 @@ rule task_fine_tune:
     resources:
         **needs("task_fine_tune", gpu=1),
     params:
-        **call("tasklens.study.jobs.tasks.fine_tune"),
+        **call("tasklens.study.jobs.measure_tasks.fine_tune"),
         settings=settings(task_jobs.TaskFineTuningJob.of),
     script:
         "../scripts/job.py"
@@ -84,7 +84,7 @@ rule tasks_table:
     resources:
         **needs("tasks_table"),
     params:
-        **call("tasklens.study.report.tasks.make"),
+        **call("tasklens.study.report.task_table.make"),
         settings=settings(task_jobs.tasks),
     script:
         "../scripts/job.py"

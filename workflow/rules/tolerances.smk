@@ -19,7 +19,7 @@ rule production:
     resources:
         **needs("production", gpu=1),
     params:
-        **call("tasklens.study.jobs.production.run"),
+        **call("tasklens.study.jobs.produce.run"),
         settings=settings(built_lenses.ProductionJob.of),
     script:
         "../scripts/job.py"

@@ -16,8 +16,8 @@ from tasklens.optics.analysis.focus import place_image_plane
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import check_stop
 from tasklens.optics.analysis.spots import light_remarks
-from tasklens.optics.io import consistency, prescription, zemax
-from tasklens.optics.io.fields import field_tangents
+from tasklens.optics.io import lens_consistency, prescription, zemax
+from tasklens.optics.io.prescribed_fields import field_tangents
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius, check_speed, stop_radius
 from tasklens.optics.lens import Lens
@@ -127,7 +127,7 @@ def read(
 
 def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of a lens file without what was computed for its own specification."""
-    return {key: value for key, value in content.items() if key not in consistency.COMPUTED}
+    return {key: value for key, value in content.items() if key not in lens_consistency.COMPUTED}
 
 
 def _validate(changes: Mapping[str, Any]) -> dict[str, Any]:
@@ -170,7 +170,7 @@ def _specify(
 ) -> LensFile:
     """Return a lens with the changed specification of its file."""
     lens, view = source.lens, view_of(source.lens, content, name)
-    consistency.check_copies(source, content["spec"], view, name)
+    lens_consistency.check_copies(source, content["spec"], view, name)
     wavelengths = wavelengths or view.wavelengths_um
     lens.refractive_indices(wavelengths)
     lens, view = _change(lens, replace(view, wavelengths_um=wavelengths, object_vergence=vergence), changes)
@@ -190,7 +190,7 @@ def read_prescription(
         if configuration not in (None, 1):
             raise FileError(f"{path}: expected a configuration 1 .. 1, got {configuration} (--configuration)")
         source, content = prescription.read(path)
-        consistency.check_keys(content, path)
+        lens_consistency.check_keys(content, path)
         check_radius(source, path)
         return source, content
     raise FileError(f"{path}: expected a lens file, .yaml or .zmx")

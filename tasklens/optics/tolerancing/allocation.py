@@ -5,7 +5,7 @@ from collections.abc import Callable, Sequence
 import torch
 from torch import Tensor
 
-from tasklens.optics.tolerancing.errors import Error
+from tasklens.optics.tolerancing.manufacturing_errors import Error
 
 YIELD = 0.95  # fraction of the lenses that must be good
 TRIED = 100  # largest number of lenses that are simulated with each set of tolerances

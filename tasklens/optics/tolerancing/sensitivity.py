@@ -13,7 +13,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
-from tasklens.optics.tolerancing.errors import Error, with_errors
+from tasklens.optics.tolerancing.manufacturing_errors import Error, with_errors
 from tasklens.optics.view import View
 
 

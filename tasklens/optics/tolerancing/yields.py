@@ -13,7 +13,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.errors import Error, draw, errors, with_errors
+from tasklens.optics.tolerancing.manufacturing_errors import Error, draw, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError

@@ -12,8 +12,8 @@ from matplotlib.patches import Rectangle
 from torch import Tensor
 
 from tasklens.camera.blend import capture
-from tasklens.camera.charts import resolution_chart
 from tasklens.camera.imaging import PsfCamera
+from tasklens.camera.resolution_chart import resolution_chart
 from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.io import prescription, psf_files

@@ -15,7 +15,7 @@ import pandas
 from tasklens.runtime.files import damaged, replacing
 from tasklens.study.claims import Claims
 from tasklens.study.report.measurements import Measurements
-from tasklens.study.tables import LensKey, MeasuredKey
+from tasklens.study.table_contents import LensKey, MeasuredKey
 
 
 @dataclass(frozen=True, kw_only=True)

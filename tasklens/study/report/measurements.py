@@ -12,7 +12,7 @@ from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
 from tasklens.runtime.files import damaged, read_table, read_yaml
 from tasklens.show import predictions
 from tasklens.study.claims import Claim, Claims
-from tasklens.study.tables import LensKey, MeasuredKey, SeededMeasurements
+from tasklens.study.table_contents import LensKey, MeasuredKey, SeededMeasurements
 
 FIELD = "accuracy_field"  # beginning of the columns of accuracy by field
 LEAST_ENERGY = 0.5  # inside the PSF window, mean over fields; a design with less failed

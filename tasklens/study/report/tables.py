@@ -20,7 +20,7 @@ from tasklens.show import headings
 from tasklens.show.headings import PAPER, STD
 from tasklens.show.publish import publish
 from tasklens.study.report.measurements import FIELD, Measurements, has_failed
-from tasklens.study.tables import TableContents
+from tasklens.study.table_contents import TableContents
 
 PACKAGES = ("torch", "torchvision", "timm", "kornia", "snakemake", "pandas")
 _COLUMNS = {

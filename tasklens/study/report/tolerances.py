@@ -13,7 +13,7 @@ from tasklens.show.publish import markdown, publish
 from tasklens.show.tolerance_page import distribution
 from tasklens.study.built_lenses import BuiltContents
 from tasklens.study.report.verdicts import FAILS, HOLDS, verdict
-from tasklens.study.tables import LensKey
+from tasklens.study.table_contents import LensKey
 
 _NOTE = """\
 Study `{study}`, {grade}: {built} built lenses of each design and seed, focused by their MTF and measured by the

@@ -19,7 +19,7 @@ from tasklens.settings.names import SHARP
 from tasklens.show import predictions
 from tasklens.show.optimality import optimum
 from tasklens.study.report.measurements import MeasurementFiles, Measurements
-from tasklens.study.tables import MeasuredKey, TableContents, VerificationContents
+from tasklens.study.table_contents import MeasuredKey, TableContents, VerificationContents
 
 Reproduced = Mapping[MeasuredKey, Path]  # predictions
 

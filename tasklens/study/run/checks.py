@@ -13,7 +13,7 @@ from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study import consistency
 from tasklens.study.study import Study
-from tasklens.study.tables import candidates, starts
+from tasklens.study.table_contents import candidates, starts
 
 
 def check(study: Study, networks: bool, weights: bool) -> None:

@@ -16,7 +16,7 @@ from tasklens.settings.design_methods import with_named_designs
 from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
-from tasklens.study import tables as paper_tables
+from tasklens.study import table_contents
 from tasklens.study.effort import effort
 from tasklens.study.loading import parse
 from tasklens.study.run.changes import in_one_line
@@ -195,12 +195,12 @@ def seconds(study: Study, cores: int) -> float:
 
 def _depth(study: Study, lens: str) -> int:
     """Return the length of the longest chain of dependent designs that ends with a lens."""
-    sources = {*paper_tables.starts(study, lens), *paper_tables.candidates(study, lens)}
+    sources = {*table_contents.starts(study, lens), *table_contents.candidates(study, lens)}
     return 1 + max((_depth(study, other) for other in sources), default=0)
 
 
 def _jobs_of_a_seed(study: Study) -> dict[str, int]:
-    contents = paper_tables.tables(study)
+    contents = table_contents.tables(study)
     pairs = {pair for table in contents for pair in table.measured} | {(names.SHARP, study.supervisor)}
     return {
         "design": len(effort(study).efforts),

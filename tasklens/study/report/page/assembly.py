@@ -18,7 +18,7 @@ from tasklens.show import pictures
 from tasklens.show.headings import STD
 from tasklens.show.optimality import optimum
 from tasklens.study.report import answer as answer_figure
-from tasklens.study.report.page import captures, charts, gallery, tables, words
+from tasklens.study.report.page import gallery, page_captures, page_charts, page_tables, words
 from tasklens.study.report_jobs import ReportJob
 
 LARGEST_MB = 15.0
@@ -128,9 +128,9 @@ def render(
         "drawn": {path.stem: pictures.link(path) for path in files.drawn if path.exists()},
         "charts": _charts(settings, elements, frames, by_seed.get("table1")),
         "gallery": gallery.entries(settings, lens_files, by_seed.get("table1")),
-        "captures": captures.read(files.capture_file, files.answers, settings.supervisor),
+        "captures": page_captures.read(files.capture_file, files.answers, settings.supervisor),
         "histories": _histories(settings, files),
-        "time": tables.build("time", "Time and memory of each kind of job", time) if len(time) else None,
+        "time": page_tables.build("time", "Time and memory of each kind of job", time) if len(time) else None,
         "machine": machine(files.provenance),
         "configuration": settings.configuration,
         "configuration_link": pictures.of_text(settings.configuration),
@@ -156,10 +156,10 @@ def _of_earlier_lenses(path: Path, lenses: Mapping[str, Path]) -> str:
     return f" Older than these lenses, so maybe of earlier ones: {', '.join(later)}." if later else ""
 
 
-def _table(name: str, frame: pandas.DataFrame, note: str = "") -> tables.Table:
+def _table(name: str, frame: pandas.DataFrame, note: str = "") -> page_tables.Table:
     caption = _CAPTIONS.get(name) or f"Ablation: {name.removeprefix('ablation_').replace('_', ' ')}"
     spread = _SPREAD if any(str(column).endswith(STD) for column in frame) else ""
-    return tables.build(name, caption, frame, spread + note)
+    return page_tables.build(name, caption, frame, spread + note)
 
 
 def _charts(
@@ -167,29 +167,31 @@ def _charts(
     elements: Iterable[str],
     frames: Mapping[str, pandas.DataFrame],
     by_seed: pandas.DataFrame | None,
-) -> list[charts.Chart]:
+) -> list[page_charts.Chart]:
     """Return the charts of accuracies in table 1, over the RMS spot and the radius, and of further comparisons.
 
     Args:
         by_seed: rows of table 1 by seed, if the study has it.
     """
-    drawn: list[charts.Chart | None] = []
+    drawn: list[page_charts.Chart | None] = []
     if by_seed is not None:
-        drawn.append(charts.accuracy_over_rms(frames["table1"]))
+        drawn.append(page_charts.accuracy_over_rms(frames["table1"]))
         radii = settings.radii, settings.design_radii
-        drawn += [charts.accuracy_by_radius(name, by_seed, *radii) for name in elements]
+        drawn += [page_charts.accuracy_by_radius(name, by_seed, *radii) for name in elements]
     if "tolerances_compared" in frames and len(losses := frames["tolerances_compared"]):
         labels = [f"{row['lens']} − {row['baseline']}" for row in losses.to_dict("records")]
-        drawn.append(charts.differences("tolerances", "What is lost in manufacture, task less image", losses, labels))
+        drawn.append(
+            page_charts.differences("tolerances", "What is lost in manufacture, task less image", losses, labels)
+        )
     ablations = [frame for name, frame in frames.items() if name.startswith("ablation_")]
     if ablations:
         variants = pandas.concat(ablations).dropna(subset=["difference"])
         title = "Ablations: variant less base"
-        drawn.append(charts.differences("ablations", title, variants, variants["lens"].tolist()))
+        drawn.append(page_charts.differences("ablations", title, variants, variants["lens"].tolist()))
     return [chart for chart in drawn if chart is not None]
 
 
-def _histories(settings: ReportJob, files: PageFiles) -> list[charts.Chart]:
+def _histories(settings: ReportJob, files: PageFiles) -> list[page_charts.Chart]:
     """Return the charts of the design histories, by elements, and of the training of the restoration networks."""
     histories = dict(zip(settings.elements, map(_read, files.histories), strict=True))
     drawn = []
@@ -197,18 +199,22 @@ def _histories(settings: ReportJob, files: PageFiles) -> list[charts.Chart]:
         runs = {lens: _last_part(run) for lens, run in histories.items() if settings.elements[lens] == elements}
         description = f"RMS spot radius during the last stage of the design of each {elements}."
         title = f"Design of each {elements}: RMS spot"
-        drawn.append(charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, description, True))
+        drawn.append(
+            page_charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, description, True)
+        )
         runs = {lens: run for lens, run in runs.items() if lens in settings.by_classifier}
         description = (
             f"Loss of the classifier on fixed images during the design of each {elements}. The lens with the smallest "
             "loss is kept."
         )
         title = f"Design of each {elements}: loss of the classifier"
-        drawn.append(charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, description, False))
+        drawn.append(
+            page_charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, description, False)
+        )
     runs = dict(zip(settings.restored, map(_read, files.restorations), strict=True))
     description = "PSNR on minival images during the training of the restoration networks."
     drawn.append(
-        charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, description, False)
+        page_charts.histories("history-restoration", "Restoration", "psnr_db", "PSNR [dB]", runs, description, False)
     )
     return [chart for chart in drawn if chart is not None]
 

@@ -13,7 +13,7 @@ from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.errors import errors
+from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition import classifiers, dataset

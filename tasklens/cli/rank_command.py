@@ -113,7 +113,7 @@ def rank(
     from tasklens.materials.library import user_files
     from tasklens.recognition import user_images
     from tasklens.study import loading
-    from tasklens.study.run import ranking, screening
+    from tasklens.study.run import ranking_run, screening
 
     spec = sensor.spec()
     paths = screening.lens_paths(lenses)
@@ -123,21 +123,21 @@ def rank(
     def study(screened: screening.Screened, built: Sequence[str] = ()) -> dict:
         kept = screened.by_mtf[: lens_options.sieve]
         focused = any(screened.entries[lens]["focus"] == "network" for lens in kept)
-        images = ranking.image_settings(folder, side, max_images, fine_tune > 0, focused)
+        images = ranking_run.image_settings(folder, side, max_images, fine_tune > 0, focused)
         sections = spec, images, classifier, sensor.capture()
-        return ranking.study(name, screened, *sections, fine_tune, kept, tolerances, built)
+        return ranking_run.study(name, screened, *sections, fine_tune, kept, tolerances, built)
 
     unread = loading.parse(study(screening.placeholder()))  # errors come before the lenses are read
-    say(ranking.check_network(unread.classifier(unread.supervisor), unread.images))
+    say(ranking_run.check_network(unread.classifier(unread.supervisor), unread.images))
     with progress_bars():
         catalogues = [*(lens_options.catalogue or ()), *user_files()]
         screened = screening.screen(paths, spec, catalogues, lens_options.scale, lens_options.focus)
     content = study(screened)
     count = len(loading.parse(content).imported)
-    say(f"{count} of {len(paths)} lenses are measured with {ranking.photographs(content['images'])}")
-    results = ranking.run(content, ["ranking"], cores, overwrite)
+    say(f"{count} of {len(paths)} lenses are measured with {ranking_run.photographs(content['images'])}")
+    results = ranking_run.run(content, ["ranking"], cores, overwrite)
     if as_built:
-        content = study(screened, ranking.first_lenses(results, content["ranking"]["titles"], as_built))
-        results = ranking.run(content, ["ranking"], cores, overwrite)
+        content = study(screened, ranking_run.first_lenses(results, content["ranking"]["titles"], as_built))
+        results = ranking_run.run(content, ["ranking"], cores, overwrite)
     print((results / "tables" / "ranking.md").read_text(encoding="utf-8"))
     say(f"the page: {results / 'ranking.html'}")

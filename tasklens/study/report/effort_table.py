@@ -8,7 +8,7 @@ import pandas
 from tasklens.runtime import benchmarks as benchmark_files
 from tasklens.show.publish import publish
 from tasklens.study.effort import Efforts
-from tasklens.study.tables import LensKey
+from tasklens.study.table_contents import LensKey
 
 _NOTE = """\
 Study `{study}`. Lens evaluations are the steps of descents, or the evaluations of least squares, which are fewer if it

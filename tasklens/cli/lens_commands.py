@@ -126,7 +126,7 @@ def tolerance(
     from tasklens.optics.analysis import focus
     from tasklens.optics.tolerancing import yields
     from tasklens.settings.tolerance_settings import GRADES, Grade
-    from tasklens.show import yields as report
+    from tasklens.show import yield_tables as report
 
     if grade not in GRADES:
         raise InputError(f"--grade {grade}: expected one of {', '.join(GRADES)}")

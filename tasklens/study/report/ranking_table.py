@@ -11,10 +11,10 @@ from tasklens.optics.io import prescription
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.runtime.files import read_table, write_text
 from tasklens.settings.names import SHARP
-from tasklens.show import between_fields, predictions, ranking
+from tasklens.show import between_fields, lens_ranks, predictions
 from tasklens.show.figures import section_svg
+from tasklens.show.lens_ranks import Rank
 from tasklens.show.publish import publish
-from tasklens.show.ranking import Rank
 from tasklens.show.tolerance_page import distribution
 from tasklens.study.report_jobs import RankingJob
 
@@ -47,7 +47,7 @@ def make(
     correct = {lens: predictions.read(path) for lens, path in measured.items()}
     sharp = float(100 * correct.pop(SHARP).to_numpy().mean())
     at_nine = {lens: predictions.read(measured[lens], "nine") for lens in settings.lenses}
-    ranks = ranking.rank_lenses(correct)
+    ranks = lens_ranks.rank_lenses(correct)
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
     means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}
@@ -57,7 +57,9 @@ def make(
         content = contents[rank.lens][1]
         title, f_number = facts.titles.get(rank.lens, rank.lens), content["figures"]["f_number"]
         rms_um = content["means"]["rms_spot_um"]
-        columns = ranking.row(rank, title, at_nine[rank.lens], f_number, content["spec"]["field_of_view_deg"], rms_um)
+        columns = lens_ranks.row(
+            rank, title, at_nine[rank.lens], f_number, content["spec"]["field_of_view_deg"], rms_um
+        )
         if "zero_shot_accuracy" in means[rank.lens]:
             columns["zero_shot_accuracy"] = means[rank.lens]["zero_shot_accuracy"]
         columns |= {"mtf_mean": facts.mtf[rank.lens]} if rank.lens in facts.mtf else {}
@@ -68,7 +70,7 @@ def make(
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
     count, fields = next(iter(correct.values())).shape
     note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count, fields=fields)
-    answer = ranking.sentences(ranks, facts.titles)
+    answer = lens_ranks.sentences(ranks, facts.titles)
     answer += [text for text in [sieve(ranks, facts.mtf, settings.sieved)] if text is not None]
     names = {lens: facts.titles.get(lens, lens) for lens in settings.lenses}
     between, at_nine_by_title = ({names[lens]: part[lens] for lens in names} for part in (correct, at_nine))
@@ -83,7 +85,7 @@ def make(
     }
     words = {"title": f"Which lens for {settings.model}?", "images": count, "sharp": sharp, "tuned": tuned}
     words |= {"left_out": facts.left_out, "grade": settings.grade.replace("_", " ")}
-    write_text(page, ranking.render(ranks, rows, drawings, answer, **words))
+    write_text(page, lens_ranks.render(ranks, rows, drawings, answer, **words))
 
 
 def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]) -> str | None:

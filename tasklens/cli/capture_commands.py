@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 import tasklens
-from tasklens.cli.lens import Diffraction, File, Rays
+from tasklens.cli.lens_commands import Diffraction, File, Rays
 from tasklens.cli.options import Seed, reader, with_options
 from tasklens.cli.outputs import Force, new_file, progress_bars, remarks_about, say
 from tasklens.runtime.errors import InputError
