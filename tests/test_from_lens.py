@@ -20,7 +20,7 @@ from tasklens.optics.io.prescription import Prescription
 from tasklens.runtime.errors import InputError
 from tasklens.settings.specification import Constraints
 
-STEPS, ONE_STEP = ({"descents": {"0": {"steps": steps}}} for steps in (30, 1))
+STEPS, ONE_STEP = ({"descents": {"0": {"steps": steps}}} for steps in (60, 1))
 
 
 def save(folder, **changes) -> LensFile:
@@ -183,7 +183,7 @@ def test_the_primary_wavelength_of_a_file_may_be_the_longest(tmp_path):
     assert list(notes["spec"]["wavelengths_um"]) == [0.6563, 0.5876, 0.4861]
 
 
-COMMAND = ("design", "--start", "mine.zmx", "--pixel-pitch", "8", "--set", "descents.0.steps=5", "-o", "better.zmx")
+COMMAND = ("design", "--start", "mine.zmx", "--pixel-pitch", "8", "--set", "descents.0.steps=20", "-o", "better.zmx")
 
 
 def test_the_command(tmp_path, monkeypatch, capsys):
