@@ -11,6 +11,7 @@ import torch
 from designs import LIMITS, VIEW, problem, tiny_network
 from examples import changed, f64, lens_and_view, lens_file, tiny_study
 from rules import finish, slices
+from scipy.stats import chi2
 from torch import nn
 
 import tasklens
@@ -63,6 +64,14 @@ def test_each_cell_has_a_point_in_every_draw():
     cells = (CELLS * points).long().reshape(40, CELLS**2, 2)
     assert torch.equal(cells, (CELLS * f64(cell_centres(CELLS))).long().expand(40, -1, -1))
     assert torch.equal(points, drawn_points(40, seed=1)) and not torch.equal(points, drawn_points(40, seed=2))
+
+
+def test_draws_are_uniform_in_area():
+    """25 points are expected in each of 12 x 12 equal squares; chi-squared of 9 (16 - 1) degrees of freedom."""
+    points = drawn_points(400, seed=3)
+    counts, *_ = numpy.histogram2d(*points.T.numpy(), bins=12, range=[[0, 1], [0, 1]])
+    statistic = ((counts - 25) ** 2 / 25).sum()
+    assert chi2.ppf(0.001, 135) < statistic < chi2.ppf(0.999, 135)
 
 
 @pytest.mark.parametrize("fields, cells", [(SELECTED, 6), (GRADING_CENTRES, 4), (GRADED, 8)])
@@ -272,6 +281,15 @@ def test_psfs_of_the_papers_nine_are_stored_once(here):
     assert torch.equal(psf_files.read(path, "corner").psf[0], psf_files.read(path, "nine").psf[8])
     with pytest.raises(FileError, match="has no PSFs of the fields of design"):
         psf_files.read(path, "design")
+
+
+def test_a_quadrant_stands_for_the_others():
+    """A field turned by 90 degrees has the turned PSF, up to the sampling of the pupil."""
+    lens, view = published("doublet-tasklens"), view_of_spec(Spec()).at(OWN[1:3])
+    turned = replace(view, fields=view.fields.flip(-1) * f64([-1.0, 1.0]))
+    psf, of_turned = (evaluation_psf(lens, part, 2**15) for part in (view, turned))
+    assert float((of_turned - psf.rot90(-1, (-2, -1))).abs().sum((-2, -1)).max()) < 0.05
+    assert float((of_turned - psf).abs().sum((-2, -1)).min()) > 0.3
 
 
 # ---- right at some fields, wrong between them

@@ -164,3 +164,31 @@ def test_an_invalid_ray_changes_no_other(bad):
         assert torch.equal(rays.x[:, others], plain.x[:, others])
         assert (rays.status[:, 17] != 0).all()
     assert {int(v) for v in plain.status.unique()} == {RayStatus.OK, RayStatus.VIGNETTED}
+
+
+@pytest.mark.parametrize("tracer", [trace, reference_trace])
+def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
+    """Surface 9 of US 9,201,216 B2: on this ray vertex plane and base conic are outside the asphere's domain."""
+    path = next((path for path in LENS_FILES if path.stem == "US9201216B2"), None)
+    if path is None:
+        pytest.skip("this lens is not distributed")
+    lens = reference_lens(path)
+    keep = [8, 9]
+    lens = make_lens(
+        lens.curvature[keep],
+        [0.0, 1.0],
+        ("air", "COC"),
+        conic=lens.conic[keep],
+        alpha=lens.alpha[keep].tolist(),
+    )
+    lens = replace(lens, curvature=lens.curvature * f64([0, 1]), alpha=lens.alpha * f64([[0], [1]]))
+    direction = f64([0.22995, 0.65083, 0.72356])
+    direction = direction / direction.norm()
+    point = f64([-0.46101, 0.81768, -0.43576])
+    start = launch(*point.reshape(3, 1, 1), *direction.reshape(3, 1, 1))
+    crossing = lens.surfaces[1].intersect(start)
+    assert crossing.valid.all() and float(crossing.path) == pytest.approx(0.2874, abs=1e-4)
+    zero = replace(start, z=start.z - start.z, x=start.x, y=start.y)  # launched on the plane of the first surface
+    shifted = replace(lens, thickness=torch.stack([-start.z.squeeze(), f64(1.0)]))
+    rays = tracer(shifted, zero, f64([[1.0], [1.0], [1.53]]))
+    assert int(rays.status) != RayStatus.MISSED

@@ -6,10 +6,10 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 BUDGETS = {  # by unit and files; the aim of the next version in parentheses
-    ("lines", "tasklens/**/*.py restoration/**/*.py"): 31_000,  # (25 000)
+    ("lines", "tasklens/**/*.py restoration/**/*.py"): 30_300,  # (25 000)
     ("lines", "workflow/**/*.smk workflow/**/*.py Snakefile"): 1_400,
-    ("lines", "tests/**/*.py"): 26_000,  # (19 500)
-    ("files", "tasklens/**/*.py restoration/**/*.py"): 290,  # (230)
+    ("lines", "tests/**/*.py"): 24_000,  # (19 500)
+    ("files", "tasklens/**/*.py restoration/**/*.py"): 255,  # (230)
     ("words", "README.md"): 850,  # (800)
     ("words", "docs/*.md"): 14_500,
     ("words", "docs/notes/*.md"): 5_600,  # (4 000)
