@@ -32,7 +32,7 @@ rule tables:
     """All tables of the study, their verdicts, and the page."""
     default_target: True  # here, because Snakemake forgets that of an included file
     input:
-        [path_of(rules.table.output.csv, s, table=table.name) for s in POINTS for table in paper_tables.tables(s)],
+        [path_of(rules.table.output.csv, s, table=table.name) for s in POINTS for table in table_contents.tables(s)],
         at_points(rules.verdicts_table.output.csv),
         at_points(rules.psf_tail_table.output.csv),
         at_points(rules.effort_table.output.csv),

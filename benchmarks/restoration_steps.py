@@ -10,7 +10,7 @@ from pathlib import Path
 
 import timing
 
-from restoration import training
+from restoration import nafnet_training
 from tasklens.recognition import dataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.study import loading, report_jobs
@@ -38,7 +38,7 @@ def main(arguments: list[str] | None = None) -> None:
         for steps in (job.restoration.steps, 2 * job.restoration.steps):
             settings = job.restoration.model_copy(update={"steps": 2 if options.tiny else steps})
             begin = time.process_time()
-            _, history = training.train(settings, images, minival, *pipelines, job.seed)
+            _, history = nafnet_training.train(settings, images, minival, *pipelines, job.seed)
             quality.append(history[-1]["psnr_db"])
             seconds.append(time.process_time() - begin)
         numbers = (f"{quality[0]:.2f}", f"{quality[1]:.2f}", f"{quality[1] - quality[0]:+.2f}")

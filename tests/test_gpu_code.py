@@ -10,7 +10,7 @@ from pretend_gpu import CPU, GPU, OnGpu, pretend_gpu
 from torch.utils._python_dispatch import _disable_current_modes
 
 import tasklens
-from restoration import training as restoration
+from restoration import nafnet_training as restoration
 from tasklens.api import ranking as api_ranking
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design.criteria import JointTaskLoss, TaskLoss

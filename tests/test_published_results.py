@@ -134,6 +134,36 @@ def test_every_number_in_a_table_of_a_page_has_a_source(page):
     assert numbers or page == "README.md"
 
 
+def test_the_decomposition_adds_up(tmp_path, monkeypatch):
+    """Each difference is that of the accuracies of two steps, with and without the corner, whose share is a ninth."""
+    (tmp_path / "doublets").mkdir()
+    answers_file.write(tmp_path / "doublets/verdicts.npz", DOUBLETS, RandomAnswers({}, {}))
+    monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
+    monkeypatch.setattr("sys.argv", ["decomposition.py", "doublets"])
+    assert decomposition.main() == 0
+    table = pandas.read_csv(tmp_path / "decomposition.csv")
+    by_step = table.drop_duplicates(["step", "fields"])
+    steps = by_step[by_step["fields"] == "all fields"].set_index("step")
+    quality = ["least squares", "squared error or PSNR", "image correlation"]
+    assert list(steps.index) == [step for step in decomposition.STEPS if "corner" not in step]
+    assert steps.loc[quality[1:], "difference"].tolist() == pytest.approx(steps["accuracy"].diff().tolist()[1:3])
+    gains = steps.drop(quality)
+    best = steps.loc["image correlation", "accuracy"]  # the best lens for image quality in both seeds
+    assert gains["difference"].tolist() == pytest.approx((gains["accuracy"] - best).tolist())
+    assert (gains["lowest"] < gains["difference"]).all() and (gains["difference"] < gains["highest"]).all()
+    inner = by_step[by_step["fields"] == "without the corner"].set_index("step")
+    spots = table[(table["compared_with"] == "least squares") & (table["fields"] == "all fields")].set_index("step")
+    least_squares = steps.loc["least squares", "accuracy"]
+    assert spots["difference"].tolist() == pytest.approx((spots["accuracy"] - least_squares).tolist())
+    assert len(spots) == 5  # the squared error and four kinds of task
+    answers = RandomAnswers({}, {})
+    corner = [100 * answers.correct("doublet-tasklens", "small", seed).iloc[:, -1].mean() for seed in (0, 1)]
+    task = "task, from flat plates"
+    assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
+    labels = re.findall(r">([^<>]+)</text>", (tmp_path / "decomposition.svg").read_text())
+    assert {*list(decomposition.STEPS)[4:]} <= {*labels}
+
+
 def test_the_published_decomposition_is_that_of_the_published_answers(monkeypatch, tmp_path):
     """Of photographs here, which take seconds; `decomposition.py --check` compares all studies."""
     monkeypatch.setattr("sys.argv", ["decomposition.py", "photographs", "--check"])

@@ -4,7 +4,7 @@ import pytest
 import torch
 from examples import random_images
 
-from restoration import training
+from restoration import nafnet_training
 from restoration.nafnet import NAFBlock, NAFNet, build
 from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.recognition.evaluation import CapturePipeline
@@ -91,7 +91,7 @@ TINY = RestorationSettings(width=8, encoder=(1,), middle=1, decoder=(1,), steps=
 def test_training_restores_and_is_deterministic():
     """Sixty steps raise the PSNR of captures blurred by one pixel to each side; one seed, one result."""
     sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
-    network, _ = training.train(TINY, sharp, minival, *PIPELINES, 0)
+    network, _ = nafnet_training.train(TINY, sharp, minival, *PIPELINES, 0)
     assert not network.training
     images, _ = sharp.batch(torch.arange(16))
     captures = blurred()(images, torch.zeros(16, dtype=torch.long))
@@ -99,7 +99,7 @@ def test_training_restores_and_is_deterministic():
         gain = (psnr(network(captures), images) - psnr(captures, images)).mean()
     assert gain > 0.5
     short = TINY.model_copy(update={"steps": 2})
-    states = (training.train(short, sharp, minival, *PIPELINES, seed)[0].state_dict() for seed in (0, 0, 1))
+    states = (nafnet_training.train(short, sharp, minival, *PIPELINES, seed)[0].state_dict() for seed in (0, 0, 1))
     first, again, other = states
     assert all(torch.equal(first[k], again[k]) for k in first)
     assert any(not torch.equal(first[k], other[k]) for k in first)
@@ -109,7 +109,7 @@ def test_learning_rate_falls_to_zero_and_the_last_network_is_returned():
     """Rows at every check and at the end; the PSNR of the last one is that of the network."""
     sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
     settings = TINY.model_copy(update={"steps": 45, "check": 10})
-    network, history = training.train(settings, sharp, minival, *PIPELINES, 0)
+    network, history = nafnet_training.train(settings, sharp, minival, *PIPELINES, 0)
     assert [row["step"] for row in history] == [10, 20, 30, 40, 45]
     rates = [row["learning_rate"] for row in history]
     assert rates == sorted(rates, reverse=True) and max(rates) < TINY.learning_rate
@@ -128,10 +128,12 @@ def test_crops_train_a_network_for_whole_captures():
     images, _ = minival.batch(torch.arange(8))
     captures = blurred()(images, torch.zeros(8, dtype=torch.long))
     before = psnr(captures, images).mean()
-    _, history = training.train(TINY.model_copy(update={"crop": 16, "steps": 200}), sharp, minival, *PIPELINES, 0)
+    _, history = nafnet_training.train(
+        TINY.model_copy(update={"crop": 16, "steps": 200}), sharp, minival, *PIPELINES, 0
+    )
     assert history[-1]["psnr_db"] > before + 0.5
     whole, cut = (
-        training.train(TINY.model_copy(update={"steps": 2, "crop": crop}), sharp, minival, *PIPELINES, 0)[1]
+        nafnet_training.train(TINY.model_copy(update={"steps": 2, "crop": crop}), sharp, minival, *PIPELINES, 0)[1]
         for crop in (None, 32)
     )
     assert whole == cut

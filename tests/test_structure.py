@@ -280,7 +280,7 @@ def test_only_these_jobs_run_a_module(module, rules):
 
 EDITS = [  # file, old, new, rules whose digests change
     ("tasklens/study/report/tables.py", "ddof=1", "ddof=0", {"table"}),
-    ("restoration/training.py", "_WARMUP = 0.05", "_WARMUP = 0.1", {"restore"}),
+    ("restoration/nafnet_training.py", "_WARMUP = 0.05", "_WARMUP = 0.1", {"restore"}),
     ("tasklens/show/page.css", "{", "{color: red;", {"report_page", "ranking_table"}),
     ("tasklens/settings/specification.py", "Field(68.8,", "Field(68.9,", set()),  # it is in the settings of a job
     ("tasklens/settings/names.py", '"-restored"', '"-mended"', set()),  # it is in the settings, too

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from restoration import training
+from restoration import nafnet_training
 from tasklens.recognition import dataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.checkpoints import Checkpoint
@@ -27,7 +27,7 @@ def run(
         CapturePipeline.of(settings.capture, psf, fields, device) for fields in ("training", "selection")
     )
     images, selection = (dataset.read(*split, device=device) for split in (train, minival))
-    network, rows = training.train(
+    network, rows = nafnet_training.train(
         settings.restoration, images, selection, pipeline, of_validation, settings.seed, checkpoint
     )
     write_rows(history, rows)
