@@ -3,6 +3,7 @@
 import itertools
 import re
 from collections.abc import Sequence
+from dataclasses import is_dataclass
 from inspect import signature
 from pathlib import Path
 from pkgutil import resolve_name
@@ -347,9 +348,9 @@ def test_a_rule_is_declared_in_one_piece(name):
     rule = workflow().get_rule(name)
     assert rule.docstring.endswith(".") and rule.benchmark
     parameters = signature(resolve_name(rule.params.function)).parameters
-    if "inputs" in parameters:  # of a data class
-        parameters = parameters | signature(parameters["inputs"].annotation).parameters
-        del parameters["inputs"]
+    for group in [name for name, parameter in parameters.items() if is_dataclass(parameter.annotation)]:
+        fields = signature(parameters[group].annotation).parameters
+        parameters = {key: value for key, value in parameters.items() if key != group} | fields
     files = {*rule.input.keys(), *rule.output.keys()} | ({"benchmarks"} if name == "effort_table" else set())
     files |= {"optional", "drawn", "benchmarks"} if name == "report_page" else set()
     assert {*list(parameters)[1:]} - {"checkpoint"} == files
