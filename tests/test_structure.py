@@ -327,3 +327,19 @@ def test_functions_are_short():
                 count = sum(parameter.arg not in ("self", "cls") for parameter in parameters)
                 assert count <= 12, f"{node.name} in {path} has {count} parameters"
                 assert node.end_lineno - node.lineno < 80, f"{node.name} in {path}"
+
+
+IMPORT = re.compile(r"^from (\w[\w.]*) import ([\w ,]+)$", re.M)
+
+
+@pytest.mark.parametrize("path", [ROOT / "Snakefile", *sorted(ROOT.glob("workflow/rules/*.smk"))], ids=lambda p: p.name)
+def test_names_in_rules_exist(path):
+    """Of our modules: a handler that runs after the plan fails too late."""
+    text = path.read_text()
+    common = "".join(file.read_text() for file in (ROOT / "Snakefile", ROOT / "workflow/rules/common.smk"))
+    for package, names in IMPORT.findall(common + text):
+        for name, _, alias in (part.strip().partition(" as ") for part in names.split(",")):
+            module = sys.modules.get(f"{package}.{name}")
+            if module and package.startswith("tasklens"):
+                used = re.findall(rf"(?<![\w./]){alias or name}\.(\w+)", text)
+                assert [member for member in used if not hasattr(module, member)] == []
