@@ -103,7 +103,7 @@ def test_a_lens_for_ones_own_network(photographs, capsys):
     joint = ("--start", "mine.yaml", "--method", "joint", *network, *few, "--set", "descents.0.steps=10")
     assert design(*joint, "-o", "joint.yaml", "--save-network", "joint.safetensors") == 0
     content = yaml.safe_load((photographs / "joint.yaml").read_text())
-    assert content["origin"]["start"] == "mine.yaml" and content["origin"]["validation_loss"] > 0
+    assert content["origin"]["start"] == "mine.yaml"
     mine, alone, better = (lens_files.read(photographs / f"{name}.yaml").lens for name in ("mine", "alone", "joint"))
     assert torch.equal(mine.curvature, alone.curvature) and mine.curvature.any()
     assert better.media == mine.media and not torch.equal(better.curvature, mine.curvature)

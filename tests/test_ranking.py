@@ -11,7 +11,7 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import random_images, write_photographs
+from examples import measurement, random_images, write_photographs
 from safetensors.torch import load_file
 
 import tasklens
@@ -453,3 +453,45 @@ def test_a_field_beyond_the_sensor_is_named(capsys):
     entry = screening.screen([path], {}, [], scaled=False).entries["phone_3p"]
     assert "has a field of 4.77 mm, used up to the sensor's diagonal of 4 mm" in capsys.readouterr().err
     assert entry["spec"]["field_of_view_deg"] == pytest.approx(71.85, abs=0.01)
+
+
+FUNCTION = """
+import timm
+from safetensors.torch import load_file
+def build(num_classes):
+    network = timm.create_model("test_resnet", num_classes=num_classes)
+    network.load_state_dict(load_file("mine.safetensors"))
+    return network
+"""
+
+
+@pytest.mark.slow
+def test_a_function_of_ones_own_is_ranked_alike(here, ranked, monkeypatch):
+    """The workflow's jobs can use it: it loads its own weights, and has the answers of the named network."""
+    monkeypatch.setattr(sys, "path", sys.path[:])
+    (here / "own_nets.py").write_text(FUNCTION)
+    options = ("--network", "own_nets:build", "--name", "own")
+    assert main(["rank", "lenses/sharp.yaml", *COMMAND[2:4], *SMALL, *options]) == 0
+    own, by_name = (measurement(name, "lens-sharp", "network", kind="-predictions") for name in ("own", "ranking"))
+    assert own.read_text() == by_name.read_text()
+
+
+def test_a_wrong_name_is_refused_before_lenses_are_read(here, capsys, monkeypatch):
+    def unexpected(*_):
+        raise AssertionError("lenses are read")
+
+    monkeypatch.setattr(screening, "screen", unexpected)
+    assert main([*COMMAND, *SENSOR, "--name", "My-Lenses"]) == 2
+    assert "name = 'My-Lenses'" in capsys.readouterr().err.splitlines()[-1]
+    with pytest.raises(AssertionError, match="lenses are read"):
+        main([*COMMAND, *SENSOR])
+
+
+def test_a_printed_ranking_is_its_table():
+    pairs = [(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10
+    brightness = Answers(lambda images: -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square())
+    result = tasklens.rank({"mine": singlet(), "fast": singlet(f_number=2.8)}, pairs, brightness, rays=64)
+    for text in (str(result), repr(result)):
+        heading, *rows = text.splitlines()
+        assert "accuracy [%]" in heading and {row.split()[0] for row in rows} <= {"mine", "fast", "1"}
+        assert len(rows) == 2 and "svg" not in text
