@@ -1,4 +1,4 @@
-"""What commands print and write: messages, progress, JSON, and files that are not overwritten by accident."""
+"""Output of commands: messages, progress, JSON, and files that are not overwritten by accident."""
 
 import sys
 import warnings

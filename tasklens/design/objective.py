@@ -68,7 +68,7 @@ class Criterion(ABC):
         """Compute the losses (N,) of a lens as in `Objective.fixed_losses`.
 
         Args:
-            lights: relative illumination (F,) of each view of the validation.
+            lights: relative illumination (F,) of each view of the validation; empty for a criterion without images.
         """
 
     @property
@@ -175,7 +175,7 @@ class Objective:
 
     def illumination(self, lens: Lens, view: View) -> Tensor | None:
         """Compute the relative illumination (F,) for a sensor, without gradient; None without a sensor."""
-        if self.problem.capture is None or self.problem.capture.sensor is None:
+        if self.capture.sensor is None:
             return None
         return relative_illumination(lens.detached(), view, *_PUPIL)
 
@@ -224,7 +224,8 @@ class Objective:
         lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
         state = random_state()
         torch.manual_seed(self.problem.seed)
-        lights = [self.illumination(lens, view) for view in self.problem.views_of_validation]
+        views = self.problem.views_of_validation if self.criterion.reads_images else ()
+        lights = [self.illumination(lens, view) for view in views]
         losses = [self.criterion.fixed_losses(self, built_lens, lights, pixels, part) for built_lens in lenses]
         set_random_state(state)
         return torch.stack(losses).mean(0)
