@@ -15,7 +15,8 @@ from examples import materials
 from threadpoolctl import threadpool_limits
 
 from tasklens.design import criteria, optimum
-from tasklens.design.start import flat, random_starts
+from tasklens.design.random_starts import random_starts
+from tasklens.design.start import flat
 
 torch.set_num_threads(1)
 

@@ -8,7 +8,8 @@ import torch.nn.functional as F
 from scipy.fft import next_fast_len
 from torch import Tensor
 
-from tasklens.runtime.tensors import FirstDerivative, explained
+from tasklens.runtime.first_derivative import FirstDerivative
+from tasklens.runtime.tensors import explained
 
 _PLANE_BYTES = 2**20  # size of spectra transformed at once on a CPU, so that they stay in its cache
 

@@ -1,4 +1,4 @@
-"""Values that torch or numpy cannot compute with, and second derivatives: one line that says what is possible."""
+"""Values of users that torch or numpy cannot compute with: one line that says what is possible."""
 
 from collections.abc import Callable, Iterator
 from functools import wraps
@@ -25,7 +25,6 @@ _TRANSFORM = (
     "inside vmap or torch.func: take derivatives by backward(), torch.autograd.grad or torch.autograd.forward_ad, and "
     "use a loop in place of vmap; torch.func.grad and jvp take `trace` with a given `pupil`"
 )
-_REFUSED = "second derivatives of rays, PSFs and captures are not available; take differences of first ones"
 
 
 def explained(function: Callable[_P, _R]) -> Callable[_P, _R]:
@@ -88,31 +87,3 @@ def as_tensor(value: Any, name: str, dtype: torch.dtype | None = None) -> Tensor
     except (TypeError, ValueError, RuntimeError) as error:
         kind = f"an array of {value.dtype}" if isinstance(value, numpy.ndarray) else type(value).__name__
         raise InputError(f"{name}: expected numbers, as a tensor, an array or a list, got {kind}") from error
-
-
-class FirstDerivative(torch.autograd.Function):
-    """Call a function that computes a derivative, and has none itself: a second derivative raises InputError.
-
-    `torch.func` wraps the arguments of derivatives, but not those of a Function. All tensors that the derivative
-    depends on are arguments, so that torch asks for its derivative, and does not take it for zero.
-    """
-
-    @staticmethod
-    def forward(function: Callable[..., Any], *arguments: Tensor | None) -> Any:
-        """Call the function."""
-        outputs = function(*arguments)
-        return tuple(outputs) if isinstance(outputs, list) else outputs
-
-    @staticmethod
-    def setup_context(ctx: Any, inputs: Any, output: Any) -> None:
-        """Save nothing."""
-
-    @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> Any:
-        """Raise InputError."""
-        raise InputError(_REFUSED)
-
-    @staticmethod
-    def jvp(ctx: Any, *changes: Tensor) -> Any:
-        """Raise InputError."""
-        raise InputError(_REFUSED)

@@ -11,7 +11,8 @@ from tasklens.materials.material import AIR
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.traced import Inputs, Traced
-from tasklens.runtime.tensors import FirstDerivative, explained
+from tasklens.runtime.first_derivative import FirstDerivative
+from tasklens.runtime.tensors import explained
 
 _OUTPUTS = (0, 1, 3, 4, 5, 6)  # rows of the image without z, which is zero
 _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `Inputs`
