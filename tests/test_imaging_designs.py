@@ -30,7 +30,7 @@ def test_random_starts_do_not_depend_on_the_blocks_they_are_drawn_by(monkeypatch
     """Nor do later draws."""
     plates, draws = flat(PLASTICS, SPEC, LIMITS), []
     for block in (20_000, 64):
-        monkeypatch.setattr("tasklens.design.start._BLOCK", block)
+        monkeypatch.setattr("tasklens.design.random_starts._BLOCK", block)
         rng = numpy.random.default_rng(3)
         draws.append(([lens.curvature for lens in random_starts(plates, VIEW, LIMITS, 20, rng)], rng.random()))
     assert torch.equal(torch.stack(draws[0][0]), torch.stack(draws[1][0])) and draws[0][1] == draws[1][1]

@@ -1,6 +1,5 @@
 """Ranking lenses for a network: order, groups and intervals; the sieve; the command, the page, and Python."""
 
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -329,7 +328,6 @@ def test_ranking_in_python_agrees_with_the_command(here):
         tasklens.rank(lenses, pairs, torch.nn.Conv2d(3, 2, 3))
     with pytest.raises(InputError, match="images: number 1: expected a pair"):
         tasklens.rank(lenses, [pairs[0], 3], network)
-    shutil.rmtree("results", ignore_errors=True)
 
 
 def test_outputs_of_imagenet_in_python():
