@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from examples import f64
@@ -9,7 +10,9 @@ from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
 
+import tasklens
 from tasklens.optics.analysis import datasheet
+from tasklens.optics.analysis.focus import move_image_plane
 from tasklens.optics.analysis.spots import evaluation_psf, spot_diagram
 from tasklens.optics.view import View, view_of_spec
 from tasklens.settings.specification import Spec
@@ -23,6 +26,13 @@ def panel(start):
     view = view_of_spec(Spec(kernel_size=11))
     values = datasheet.figures(start, view, 64)
     return Panel.of("random", start, view, evaluation_psf(start, view, 64), values)
+
+
+@pytest.fixture(scope="module")
+def sharp():
+    """A published triplet by least squares."""
+    path = Path(__file__).parents[1] / "docs/results/headline/lenses/triplet-imaging3.yaml"
+    return Panel.compute("sharp", *tasklens.load_lens(path), 256)
 
 
 def draw(function, panel) -> Figure:
@@ -48,15 +58,33 @@ def test_the_spots_say_what_each_colour_and_circle_is(panel):
     labels = legend_of(figure)
     assert [f"{1e3 * wavelength:.0f} nm" for wavelength in panel.view.wavelengths_um] == labels[:3]
     assert labels[3:] == ["chief ray", "core: 50 % about the chief ray", "80 % about the chief ray"]
-    assert len(bars_of(figure)) == 3
-    for axes, field in zip(figure.axes, panel.field_names, strict=True):
+    assert len(bars_of(figure)) == 1 and len(figure.axes) == len(panel.psf)
+    for axes, field in zip(figure.axes, panel.view.radii.argsort(stable=True).tolist(), strict=True):
         half = panel.view.kernel_size * panel.view.pixel_pitch_um / 2
         assert axes.get_xlim() == axes.get_ylim() == (-half, half)  # y upward
-        outside = 1 - panel.figures["energy_in_window"][field]
-        assert outside > 0.001 and f"{outside:.1%} of the light outside" in axes.get_xlabel()
+        assert f"RMS {panel.figures['rms_centroid_um'][field]:.1f} um" in axes.get_xlabel()
         radii = sorted(patch.radius for patch in axes.patches)
         circles = [panel.figures[name][field] for name in ("core_radius_um", "radius_80_um")]
         assert radii == [radius for radius in circles if radius < 1e3 * half]
+
+
+def test_curves_against_field_and_focus(panel, sharp):
+    """MTFs keep below the diffraction limit; the RMS spot ends at that of the corner; a peak out of focus is shown."""
+    mtf = draw(curves.draw_curves, sharp).axes[0]
+    *lines, limit = (line.get_ydata() for line in mtf.get_lines())
+    assert len(lines) == 2 * len(sharp.field_names) and all((line <= limit + 1e-12).all() for line in lines)
+    spot = draw(curves.draw_sharpness, sharp).axes[0].get_lines()[0].get_ydata()
+    assert spot[-1] == pytest.approx(max(sharp.figures["rms_centroid_um"]), rel=0.02)
+    limits = []
+    for shift_um in (0.0, 60.0):
+        moved = move_image_plane(sharp.lens, shift_um / 1e3)
+        axes = draw(curves.draw_focus, Panel.of("moved", moved, sharp.view, sharp.psf, sharp.figures)).axes[0]
+        axis = axes.get_lines()[0]
+        low, high = axes.get_xlim()
+        limits.append(high)
+        peak = axis.get_xdata()[axis.get_ydata().argmax()]
+        assert low < peak < high and peak == pytest.approx(-shift_um, abs=12)
+    assert limits[0] < limits[1]
 
 
 def test_the_strip_has_the_psfs_of_all_fields_upward(panel):

@@ -216,7 +216,9 @@ def page(finished):
     """The page of the study."""
     for name in STUDY.designs:
         certificate = finish("certificate", STUDY, lens=f"singlet-{name}", seed=0).page.read_text()
-        assert certificate.startswith(f"# singlet-{name}, seed 0\n") and "## Manufacturability" in certificate
+        assert certificate.startswith(f"# singlet-{name}, seed 0\n") and all(
+            text in certificate for text in ("## Manufacturability", "## Limits", "max slope")
+        )
     finish("captures", STUDY)
     finish("effort_table", STUDY)
     return finished / finish("report_page", STUDY).report

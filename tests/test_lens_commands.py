@@ -180,6 +180,12 @@ def test_lenses_of_one_name_are_told_apart(folder, capsys):
         assert both.height > 1.5 * one.height
 
 
+def test_analyse_lists_the_margins_of_a_design(capsys):
+    """Of the lens as in the file; they do not hold once it is refocused."""
+    assert "max slope |" in output_of(capsys, "analyse", DOUBLET, *FEW)
+    assert "max slope" not in output_of(capsys, "analyse", DOUBLET, *FEW, "--focus", 10)
+
+
 def test_analyse_has_the_seidel_sums_by_surface(capsys):
     analysis = json_of(capsys, "analyse", PHONE, *FEW)
     for name, total in analysis["seidel_um"].items():

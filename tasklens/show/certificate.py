@@ -56,7 +56,7 @@ def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapp
 
     Args:
         fields_mm: (X, Y) of each field [mm].
-        content: content of the lens file: `figures`, and `worst_margin` and `origin` if present.
+        content: content of the lens file: `figures`, and `margins`, `worst_margin` and `origin` if present.
         by_surface: contributions of the surfaces to each Seidel sum [um], by name.
     """
     figures = content["figures"]
@@ -72,9 +72,11 @@ def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapp
     note = _NOTE.format(
         rays=figures["rays"], quarter=nyquist / 4, half=nyquist / 2, cutoff=figures["diffraction_cutoff_per_mm"]
     )
+    limits = ["## Limits", right_aligned(_margins(content["margins"]))] if "margins" in content else []
     parts = [
         f"# {title}",
         right_aligned(lens),
+        *limits,
         "## Fields",
         right_aligned(fields),
         "## Aberrations [um]",
@@ -119,6 +121,12 @@ def _lens(content: Mapping) -> dict[str, str]:
     return rows | {f"loss of {name} as a candidate start": f"{loss:.4f}" for name, loss in losses.items()}
 
 
+def _margins(margins: Mapping[str, float]) -> pandas.DataFrame:
+    """Return the margin of each limit; negative if it is violated."""
+    rows = [(name.replace("_", " "), f"{value:.4f} {UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()]
+    return pandas.DataFrame(rows, columns=["limit", "margin"])
+
+
 def manufacturability(
     margins: Mapping[str, float],
     shapes: Sequence[Shape],
@@ -138,10 +146,6 @@ def manufacturability(
     words = grade.replace("_", " ")
     moved_um = DEVIATION * math.hypot(*errors_um.values())
     worst = sorted(errors_um, key=lambda part: errors_um[part], reverse=True)[:_SENSITIVE]
-    limits = pandas.DataFrame(
-        [(name.replace("_", " "), f"{value:.4f} {UNITS.get(name, 'mm')}".strip()) for name, value in margins.items()],
-        columns=["limit", "margin"],
-    )
     surfaces = pandas.DataFrame(
         [
             (
@@ -165,7 +169,6 @@ def manufacturability(
         "## Manufacturability",
         limits_verdict(margins, moved_um, words, pixel_um),
         tolerances,
-        right_aligned(limits),
         right_aligned(surfaces),
     ]
     return "\n\n".join(parts) + "\n"

@@ -11,9 +11,18 @@ from torch import Tensor
 from tasklens.optics.analysis.aberrations import field_curvature
 from tasklens.optics.analysis.mtf import geometric_mtf, perfect_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_rays, chief_scale, distortion, ray_fans, trace_fields
+from tasklens.optics.analysis.spots import (
+    centroid,
+    chief_rays,
+    chief_scale,
+    distortion,
+    ray_fans,
+    rms_spot_radius,
+    trace_fields,
+)
 from tasklens.optics.analysis.tail import encircled_energy
 from tasklens.optics.lens import Lens
+from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.show.panel import BY_WAVELENGTH, FIELD_COLOURS, Panel
 
@@ -21,8 +30,9 @@ _FANS = 41  # rays of a fan
 _MARKERS = ("o", "s", "^")  # of the drawn fields
 _FREQUENCIES = 41
 _RADII_UM = (0.5, 500.0)
-_SHIFTS = 31  # number of shifts of the image plane
-_DEPTH = 8  # largest shift, in pixel pitches times the F-number
+_SHIFTS = 129  # number of shifts of the image plane
+_DEPTHS = (8, 16, 32)  # largest shift, in pixel pitches times the F-number: the first that shows all peaks
+_BEYOND = 1.25  # shown range, as a multiple of the shift of the farthest peak
 _SLOWEST = 1e3  # F-number; that of an afocal lens is infinite
 _FIELDS, _RAYS = 21, 1024  # from the axis to the corner; rays of each and of each wavelength
 
@@ -52,29 +62,56 @@ def draw_curves(part: SubFigure | Figure, panel: Panel) -> None:
     _draw_encircled_energy(right, panel)
 
 
-def draw_by_field(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw MTF against field and focus, field curvature and distortion; gaps where the chief ray is lost."""
-    by_field, by_focus, curvature, distorted = part.subplots(1, 4)
-    lens, frequency = panel.lens, panel.figures["nyquist_per_mm"] / 2
-    heights = torch.linspace(0, 1, _FIELDS, dtype=panel.view.fields.dtype) * panel.view.radii.max()
-    view, angles = panel.view.along_y(heights), torch.rad2deg(torch.atan(heights / panel.view.efl))
-    _draw_mtf_by_field(by_field, lens, view, angles, frequency)
-    _draw_mtf_by_focus(by_focus, panel, frequency)
-    _draw_focus_by_field(curvature, lens, view, angles)
-    _draw_distortion(distorted, lens, view, angles)
+def draw_sharpness(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw RMS spot and MTF against the field."""
+    spot, mtf = part.subplots(1, 2)
+    view, angles = _along_radius(panel.view)
+    rays = trace_fields(panel.lens, view, sobol_disc(_RAYS, seed=0))
+    radius = 1e3 * rms_spot_radius(rays, centroid(rays))
+    spot.plot(angles, torch.where(radius.isfinite(), radius, torch.nan), color="black", lw=1)
+    spot.set(xlabel="field [degrees]", title="RMS spot about the centroid [um]")
+    spot.set_ylim(bottom=0)
+    frequency = panel.figures["nyquist_per_mm"] / 2
+    for values, style, label in zip(geometric_mtf(rays, view.directions, [frequency]), ("-", "--"), "TS", strict=True):
+        mtf.plot(angles, values[:, 0], color="black", lw=1, ls=style, label=label)
+    mtf.set(ylim=(0, 1.02), xlabel="field [degrees]", title=f"geometric MTF at {frequency:.0f} cycles/mm")
+    for axes in (spot, mtf):
+        _finish(axes)
+
+
+def draw_focus(part: SubFigure | Figure, panel: Panel) -> None:
+    """Draw MTF against focus, field curvature and distortion; gaps where the chief ray is lost."""
+    by_focus, curvature, distorted = part.subplots(1, 3)
+    view, angles = _along_radius(panel.view)
+    _draw_mtf_by_focus(by_focus, panel, panel.figures["nyquist_per_mm"] / 2)
+    _draw_focus_by_field(curvature, panel.lens, view, angles)
+    _draw_distortion(distorted, panel.lens, view, angles)
+
+
+def _along_radius(view: View) -> tuple[View, Tensor]:
+    """Return fields from the axis to the corner, along y, and their angles [deg]."""
+    heights = torch.linspace(0, 1, _FIELDS, dtype=view.fields.dtype) * view.radii.max()
+    return view.along_y(heights), torch.rad2deg(torch.atan(heights / view.efl))
 
 
 def _draw_mtf(axes: Axes, panel: Panel) -> None:
-    """Draw the geometric MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens grey."""
+    """Draw the MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens grey.
+
+    It is the geometric MTF times that of a perfect lens, an approximation that keeps below the limit.
+    """
     nyquist, cutoff = panel.figures["nyquist_per_mm"], panel.figures["diffraction_cutoff_per_mm"]
     frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
-    tangential, sagittal = geometric_mtf(panel.rays, panel.view.directions, frequencies.tolist())
+    limit = perfect_mtf(frequencies, cutoff)
+    by_rays = geometric_mtf(panel.rays, panel.view.directions, frequencies.tolist())
+    tangential, sagittal = (limit * values for values in by_rays)
     for k, ((field, name), colour) in enumerate(zip(panel.field_names.items(), FIELD_COLOURS, strict=False)):
         marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
-    axes.plot(frequencies, perfect_mtf(frequencies, cutoff), color="grey", lw=1, ls=":", label="diffraction limit")
-    axes.set(xlim=(0, nyquist), ylim=(0, 1.02), xlabel="cycles/mm, up to Nyquist", title="geometric MTF")
+    axes.plot(frequencies, limit, color="grey", lw=1, ls=":", label="diffraction limit")
+    axes.set(
+        xlim=(0, nyquist), ylim=(0, 1.02), xlabel="cycles/mm, up to Nyquist", title="MTF: geometric x diffraction limit"
+    )
     _finish(axes)
 
 
@@ -96,32 +133,32 @@ def _draw_encircled_energy(axes: Axes, panel: Panel) -> None:
     _finish(axes)
 
 
-def _draw_mtf_by_field(axes: Axes, lens: Lens, view: View, angles: Tensor, frequency: float) -> None:
-    """Draw the geometric MTF at one frequency [cycles/mm] from the axis to the corner: solid T, dashed S."""
-    rays = trace_fields(lens, view, sobol_disc(_RAYS, seed=0))
-    tangential, sagittal = geometric_mtf(rays, view.directions, [frequency])
-    axes.plot(angles, tangential[:, 0], color="black", lw=1, label="T")
-    axes.plot(angles, sagittal[:, 0], color="black", lw=1, ls="--", label="S")
-    axes.set(ylim=(0, 1.02), xlabel="field [degrees]", title=f"MTF at {frequency:.0f} cycles/mm")
-    _finish(axes)
-
-
 def _draw_mtf_by_focus(axes: Axes, panel: Panel, frequency: float) -> None:
-    """Draw the geometric MTF at one frequency against the shift of the image plane, mean of T and S."""
-    view, rays = panel.view, panel.rays
-    half = _DEPTH * view.pixel_pitch_um * min(abs(panel.figures["f_number"]), _SLOWEST)
-    shifts = torch.linspace(-half, half, _SHIFTS, dtype=torch.float64)
-    for (field, name), colour in zip(panel.field_names.items(), FIELD_COLOURS, strict=False):
-        values = []
-        for shift in (shifts / 1e3).tolist():
-            shifted_rays = replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
-            tangential, sagittal = geometric_mtf(shifted_rays, view.directions, [frequency])
-            values.append(float(tangential[field, 0] + sagittal[field, 0]) / 2)
-        axes.plot(shifts, values, color=colour, lw=1, label=name)
-    axes.set(
-        xlim=(-half, half), ylim=(0, 1.02), xlabel="image plane moved by [um]", title="MTF through focus, (T + S) / 2"
-    )
+    """Draw the geometric MTF at one frequency against the shift of the image plane, as far as all its peaks."""
+    view, shown = panel.view, list(panel.field_names)
+    rays = replace(panel.rays, **{name: value[shown] for name, value in vars(panel.rays).items()})
+    depth = view.pixel_pitch_um * min(abs(panel.figures["f_number"]), _SLOWEST)
+    shifts = depth * torch.linspace(-_DEPTHS[-1], _DEPTHS[-1], _SHIFTS, dtype=torch.float64)
+    values = torch.stack(
+        [
+            torch.cat(geometric_mtf(_shifted(rays, shift), view.directions[shown], [frequency]), -1)
+            for shift in (shifts / 1e3).tolist()
+        ]
+    )  # (shift, field, direction)
+    farthest = float(shifts[values.argmax(0)].abs().max())
+    half = depth * next((d for d in _DEPTHS if d * depth > _BEYOND * farthest), _DEPTHS[-1])
+    for k, (name, colour) in enumerate(zip(panel.field_names.values(), FIELD_COLOURS, strict=False)):
+        for direction, style in enumerate(("-", "--")):
+            label = f"{name} {'TS'[direction]}"
+            axes.plot(shifts, values[:, k, direction], color=colour, lw=1, ls=style, label=label)
+    title = f"geometric MTF at {frequency:.0f} cycles/mm through focus"
+    axes.set(xlim=(-half, half), ylim=(0, 1.02), xlabel="image plane moved by [um]", title=title)
     _finish(axes)
+
+
+def _shifted(rays: Rays, shift: float) -> Rays:
+    """Return rays on an image plane that is moved by `shift` [mm]."""
+    return replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
 
 
 def _draw_focus_by_field(axes: Axes, lens: Lens, view: View, angles: Tensor) -> None:

@@ -21,7 +21,7 @@ from tasklens.optics.view import View
 from tasklens.runtime.files import replacing
 from tasklens.show import vector_files
 from tasklens.show.cross_section import cross_section
-from tasklens.show.curves import draw_by_field, draw_curves, draw_ray_fans
+from tasklens.show.curves import draw_curves, draw_focus, draw_ray_fans, draw_sharpness
 from tasklens.show.panel import RIM, Panel
 from tasklens.show.spot_panels import draw_psfs, draw_spots
 
@@ -39,7 +39,7 @@ def figure_of(panels: Sequence[Panel]) -> Figure:
     um = min(panel.view.kernel_size * panel.view.pixel_pitch_um for panel in panels)
     half_um = _round_up(max(_spread_um(panel) for panel in panels))
     panels = [replace(panel, narrowest_mm=mm, narrowest_um=um, half_um=half_um) for panel in panels]
-    whole = Figure(figsize=(13, 11.5 * len(panels)), layout="constrained")
+    whole = Figure(figsize=(13, 13.4 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     return whole
@@ -84,16 +84,17 @@ def _round(part: Figure | SubFigure) -> None:
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:
-    rows = part.subfigures(4, 1, squeeze=False, height_ratios=(4, 2.5, 2.5, 2.5))[:, 0]
-    top, middle, bottom, foot = rows
-    left, right = top.subfigures(1, 2, width_ratios=(1.1, 1))
-    draw_section(left, panel)
-    draw_spots(right, panel)
-    draw_psfs(middle, panel)
-    fans, charts = bottom.subfigures(1, 2, width_ratios=(1.1, 1))
-    draw_ray_fans(fans, panel)
-    draw_curves(charts, panel)
-    draw_by_field(foot, panel)
+    rows = part.subfigures(5, 1, squeeze=False, height_ratios=(4, 1.9, 2.5, 2.5, 2.5))[:, 0]
+    for row, functions, widths in zip(
+        rows,
+        ((draw_section, draw_sharpness), (draw_spots,), (draw_psfs,), (draw_ray_fans, draw_curves), (draw_focus,)),
+        ((1.1, 1), (1,), (1,), (1.1, 1), (1,)),
+        strict=True,
+    ):
+        for inner, function in zip(
+            row.subfigures(1, len(functions), squeeze=False, width_ratios=widths)[0], functions, strict=True
+        ):
+            function(inner, panel)
     figures = panel.figures
     near = f", object at {figures['object_distance_mm']:g} mm" if "object_distance_mm" in figures else ""
     part.suptitle(f"{panel.title}: EFL {figures['efl_mm']:.3f} mm, F/{figures['f_number']:.2f}{near}", weight="bold")
@@ -127,7 +128,7 @@ def draw_parts(panel: Panel, section: Path, spots: Path, psfs: Path, charts: Pat
     """Write the parts of the figure of a lens as separate files, for a page."""
     parts = (
         (draw_section, section, (5.2, 3.4)),
-        (draw_spots, spots, (9, 4.2)),  # titles would be cut off if it were lower
+        (draw_spots, spots, (13, 2.4)),
         (draw_psfs, psfs, (13, 3.2)),
         (draw_curves, charts, (9, 3.8)),
     )

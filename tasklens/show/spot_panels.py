@@ -1,13 +1,12 @@
 """Panels of spots and PSFs on the sensor, y upward, centred on the image point of the chief ray."""
 
-from collections.abc import Mapping
-
 import torch
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle
 
 from tasklens.optics.analysis.spots import spot_diagram
+from tasklens.optics.view import View
 from tasklens.show.panel import BY_WAVELENGTH, Panel, scale_bar
 
 _DRAWN = 700  # rays of a spot
@@ -20,11 +19,12 @@ _LEAST_LABELLED = 5e-4  # smallest share of light that a label mentions
 
 
 def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw the spots of axis, middle and corner, with circles of 50 % and 80 % of the light about the chief ray."""
+    """Draw the spots of all fields from axis to corner, with circles of 50 % and 80 % of the light."""
     view, figures, half_um = panel.view, panel.figures, panel.shown_um
     points = 1e3 * spot_diagram(panel.rays, panel.centre)[:, :, :_DRAWN]
-    all_axes = part.subplots(1, len(panel.field_names), squeeze=False)[0]
-    for axes, (field, name) in zip(all_axes, panel.field_names.items(), strict=True):
+    order = _by_radius(view)
+    all_axes = part.subplots(1, len(order), squeeze=False)[0]
+    for axes, field in zip(all_axes, order, strict=True):
         for w, (wavelength, style) in enumerate(zip(view.wavelengths_um, BY_WAVELENGTH, strict=False)):
             x, y = points[field, w].unbind(-1)
             axes.scatter(x, y, s=1.2, lw=0, color=style["color"], rasterized=True)
@@ -38,31 +38,28 @@ def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
                 axes.add_patch(circle)
         axes.plot(0, 0, "+", color="black", ms=5, lw=0, label="chief ray")
         axes.set(xlim=(-half_um, half_um), ylim=(-half_um, half_um), aspect="equal", xticks=[], yticks=[])
-        scale_bar(axes, "um")
-        angle = figures["angle_deg"][field]
-        axes.set_title(f"{name}, {angle:.2g}°: core {_um(figures['core_radius_um'][field])}", fontsize=9)
+        axes.set_title(f"{figures['angle_deg'][field]:.2g}°, core {_um(figures['core_radius_um'][field])}", fontsize=8)
+        lost = 1 - figures["valid_fraction"][field]
         radius = f"RMS {figures['rms_centroid_um'][field]:.1f} um"
-        axes.set_xlabel(f"{radius}\n{_outside(figures, field)}", fontsize=8)
-    handles = [*part.axes[-1].get_legend_handles_labels()[0], *_ROUND]
-    part.legend(handles=handles, loc="outside lower center", ncol=3, fontsize=8, frameon=False)
+        axes.set_xlabel(f"{radius}\n{lost:.1%} lost" if lost >= _LEAST_LABELLED else radius, fontsize=8)
+    scale_bar(all_axes[-1], "um")
+    handles = [*all_axes[-1].get_legend_handles_labels()[0], *_ROUND]
+    part.legend(handles=handles, loc="outside upper center", ncol=6, fontsize=8, frameon=False)
 
 
 def _um(value: float) -> str:
     return f"{value:.1f} um" if value < 1e6 else "not reached"
 
 
-def _outside(figures: Mapping, field: int) -> str:
-    """Return the shares of the light outside the frame and lost in the lens, in words."""
-    outside = 1 - figures["energy_in_window"][field]
-    text = f"{outside:.1%} of the light outside" if outside >= _LEAST_LABELLED else "all light inside"
-    lost = 1 - figures["valid_fraction"][field]
-    return f"{text}, {lost:.1%} lost" if lost >= _LEAST_LABELLED else text
+def _by_radius(view: View) -> list[int]:
+    """Return the indices of the fields from the axis to the corner."""
+    return torch.argsort(view.radii, stable=True).tolist()
 
 
 def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the PSFs of all fields from axis to corner: square root above, four decades of the logarithm below."""
     psf, view, figures = panel.psf, panel.view, panel.figures
-    order = torch.argsort(view.radii, stable=True).tolist()
+    order = _by_radius(view)
     grid = part.subplots(2, len(order), squeeze=False)
     half = view.kernel_size * view.pixel_pitch_um / 2
     for column, field in enumerate(order):
