@@ -11,6 +11,7 @@ their headings:
 - `ablation: NAME`: accuracy [%] of a design and its variants, and their differences from it [points]
 - `steps: COLUMN`: a column of decomposition.csv for the network that supervised the designs: `accuracy` and, in
   brackets, wrong answers [%]; `difference` [points]; the difference `inside` the corner [points]; or its `p` value
+- `answer: ELEMENTS`: a row for each folder, with the accuracies and gains of decomposition.csv
 
 With `--check` the program writes nothing, and ends with 1 if a page differs.
 """
@@ -90,6 +91,29 @@ def steps(column: str, folders: Folders) -> pandas.DataFrame:
     return _table(rows.assign(cell=_intervals(rows)).dropna(subset="difference")).rename_axis("designed by")
 
 
+def answer(elements: str, folders: Folders) -> pandas.DataFrame:
+    """Return a row for each folder: accuracy of least squares, image quality and a frozen network [%]; gains [points]."""
+    rows = pandas.read_csv(FOLDER / "decomposition.csv")
+    rows = rows[rows["classifier"] == rows.groupby("study")["classifier"].transform("first")]
+    rows = rows[(rows["elements"] == elements) & (rows["fields"] == "all fields")]
+    gains = rows[rows["compared_with"] == "best lens for image quality"].set_index(["study", "step"])
+    first = rows[rows["step"] == "least squares"].set_index("study")
+    table = {}
+    for folder, heading in folders.items():
+        frozen, jointly = ((folder, f"task, {how}") for how in ("from flat plates", "network trained jointly"))
+        best = gains.loc[frozen, "accuracy"] - gains.loc[frozen, "difference"]
+        accuracies = {
+            "least squares [%]": first.loc[folder, "accuracy"],
+            "image quality [%]": best,
+            "frozen network [%]": gains.loc[frozen, "accuracy"],
+        }
+        cells = {column: f"{value:.1f}" for column, value in accuracies.items()}
+        for column, key in {"gain [points]": frozen, "trained jointly [points]": jointly}.items():
+            cells[column] = _interval(gains.loc[key]) if key in gains.index else ""
+        table[heading] = cells
+    return pandas.DataFrame(table).T.rename_axis("doublets for").rename_axis(columns=None)
+
+
 def _read(folders: Folders, read: Callable[[Path], pandas.DataFrame]) -> pandas.DataFrame:
     """Return the rows of all folders with their headings."""
     return pandas.concat([read(FOLDER / folder).assign(heading=heading) for folder, heading in folders.items()])
@@ -116,7 +140,7 @@ def _verdict(verdict: str) -> str:
     return "" if verdict == "holds" else ", suggested" if verdict.startswith("suggests") else f", {verdict}"
 
 
-KINDS = {"accuracies": accuracies, "gains": gains, "ablation": ablation, "steps": steps}
+KINDS = {"accuracies": accuracies, "gains": gains, "ablation": ablation, "steps": steps, "answer": answer}
 
 
 def filled(page: str) -> str:
