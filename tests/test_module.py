@@ -1,5 +1,6 @@
 """The workflow in other workflows, from other folders, and several studies in one run."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -30,22 +31,16 @@ def reference_results(tmp_path_factory):
 
 @pytest.fixture
 def other(tmp_path):
-    """A folder with another workflow, which uses ours as a module."""
+    """A folder with another workflow, that of the how-to, which uses ours as a module; with or without a prefix."""
     (tmp_path / "study.yaml").write_text(yaml.safe_dump(ONE_LENS))
 
     def write(prefix: str) -> list[str]:
-        words = [
-            "import yaml",
-            "module tasklens:",
-            f"    snakefile: '{ROOT}/Snakefile'",
-            "    config: yaml.safe_load(open('study.yaml'))",
-            f"use rule * from tasklens{prefix and f' as {prefix}*'}",
-            "rule copy:",
-            f"    input: rules.{prefix}table1.input",
-            "    output: 'copy.csv'",
-            "    shell: 'cp {input} {output}'",
-        ]
-        (tmp_path / "Snakefile").write_text("\n".join(words) + "\n")
+        page = (ROOT / "docs" / "how-to.md").read_text()
+        (text,) = re.findall(r"```text\n(import yaml\n.*?)```", page, re.DOTALL)
+        text = text.replace("TaskLens/Snakefile", f"{ROOT}/Snakefile")
+        if not prefix:
+            text = text.replace(" as lens_*", "").replace("lens_", "")
+        (tmp_path / "Snakefile").write_text(text)
         return ["--snakefile", "Snakefile", "--directory", "."]
 
     return write
