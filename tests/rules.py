@@ -109,7 +109,7 @@ def wildcards_of(name: str, study: Study) -> Iterator[dict]:
     ranges = {
         "lens": [names.SHARP, *lenses] if measures else lenses,
         "classifier": study.classifiers,
-        "measured_name": [*study.classifiers, *(names.measured(name, True) for name in study.classifiers)],
+        "measured_name": [*study.classifiers, *(names.measured_name(name, True) for name in study.classifiers)],
         "table": [table for table in TABLES if table_contents.table(study, table).lenses],
         "ablation": study.ablations,
         "elements": claims.claims_by_elements(study),

@@ -5,7 +5,7 @@ import pandas
 import yaml
 from examples import lens_file, measurement, write
 
-from tasklens.settings.names import SHARP, measured
+from tasklens.settings.names import SHARP, measured_name
 
 IMAGES, FIELDS = 200, 9
 
@@ -20,7 +20,7 @@ def write_results(study, accuracy, minival=None, inside=0.9, lenses=None) -> Non
     index = {"image": range(IMAGES), "label": ["cat"] * IMAGES}
     for seed in study.seeds:
         for lens in lenses or (SHARP, *study.lenses):
-            for name in [*study.classifiers, *(measured(name, True) for name in study.classifiers)]:
+            for name in [*study.classifiers, *(measured_name(name, True) for name in study.classifiers)]:
                 fields = 1 if lens == SHARP else FIELDS
                 right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
                 minival_share = (minival or accuracy)(lens, name, seed)

@@ -8,7 +8,7 @@ import pytest
 from examples import changed, tiny_study, write
 from rules import job_of, rule_names, workflow
 
-from tasklens.study.loading import dump, parse, resolved
+from tasklens.study.loading import dump, parse, resolve
 from tasklens.study.run.changes import (
     COUNTED,
     Change,
@@ -100,14 +100,14 @@ def refusal_lines(overwrites, tmp_path, cores: int = 1, ranking: bool = False) -
 )
 def test_a_changed_value_is_reported_in_one_line(key, value, words):
     """With its dotted key; nothing else differs, not even defaults."""
-    (change,) = changes(resolved(parse(base())), resolved(parse(changed(base(), key, value))))
+    (change,) = changes(resolve(parse(base())), resolve(parse(changed(base(), key, value))))
     assert str(change).startswith(words) and len(str(change)) < 100 and "\n" not in str(change)
 
 
 def test_changes_are_those_of_the_values_alone():
     """Another order of the same values is no change; a removed value is reported with its old value."""
     study = base()
-    assert changes(resolved(parse(study)), resolved(parse(dict(reversed(study.items()))))) == []
+    assert changes(resolve(parse(study)), resolve(parse(dict(reversed(study.items()))))) == []
     gone = changes({"a": {"b": {"c": 1}, "d": 2}}, {"a": {"d": 2}})
     assert gone == [Change("a.b", {"c": 1}, None)] and str(gone[0]) == "a.b: removed"
 

@@ -182,10 +182,10 @@ def test_jobs_that_see_the_fields(key, value, reads):
 def test_metrics_of_each_set():
     """Designs for some fields are graded there, too; if the nine are all there is, not twice."""
     default, paper = FieldSettings(), FieldSettings.model_validate("paper")
-    assert default.graded(None) == {"accuracy": "grading", "corner_accuracy": "corner"}
-    assert default.graded(PAPER)["accuracy_at_design_fields"] == "nine"
-    assert default.graded(OWN)["accuracy_at_design_fields"] == "design" and default.sets(OWN)["design"] == (OWN,)
-    assert FieldSettings(nine=True).graded(None)["accuracy_at_nine"] == "nine"
+    assert default.grading_sets(None) == {"accuracy": "grading", "corner_accuracy": "corner"}
+    assert default.grading_sets(PAPER)["accuracy_at_design_fields"] == "nine"
+    assert default.grading_sets(OWN)["accuracy_at_design_fields"] == "design" and default.sets(OWN)["design"] == (OWN,)
+    assert FieldSettings(nine=True).grading_sets(None)["accuracy_at_nine"] == "nine"
     assert paper.graded(PAPER) == {"accuracy": "grading", "corner_accuracy": "corner"}
     for settings, design in itertools.product((default, paper, FieldSettings(nine=True)), (None, PAPER, OWN)):
         assert {*settings.graded(design).values()} <= {*settings.sets(design)}

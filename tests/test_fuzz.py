@@ -101,7 +101,7 @@ def whole_study() -> dict:
         "sweep": {"spec.f_number": [2.8, 4.0]},
         "restored": ["singlet"],
     }
-    return loading.resolved(loading.parse(study))
+    return loading.resolve(loading.parse(study))
 
 
 STUDY = whole_study()
@@ -119,7 +119,7 @@ def check_study(path: Path, content: str) -> None:
         except StudyError as error:
             assert "sweep" in str(error)
         else:
-            assert [loading.parse(loading.resolved(point)) for point in points] == points
+            assert [loading.parse(loading.resolve(point)) for point in points] == points
 
 
 @pytest.mark.slow

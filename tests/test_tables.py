@@ -10,7 +10,7 @@ import pytest
 import yaml
 from examples import changed, lens_file, measurement, measurements_of, result, tiny_study, write
 
-from tasklens.settings.names import SHARP, measured
+from tasklens.settings.names import SHARP, measured_name
 from tasklens.show import headings
 from tasklens.study.loading import dump, parse
 from tasklens.study.report import tables
@@ -72,7 +72,7 @@ def results(tmp_path, monkeypatch, study):
             metrics(SHARP, classifier, seed, REFERENCE, None)
             for lens, accuracy in ACCURACY.items():
                 metrics(lens, classifier, seed, accuracy + 2 * seed, 20.0)
-                metrics(lens, measured(classifier, True), seed, accuracy + 5 + 2 * seed, 25.0)
+                metrics(lens, measured_name(classifier, True), seed, accuracy + 5 + 2 * seed, 25.0)
         for lens in ACCURACY:
             inside = 0.3 if lens == "doublet-end_to_end_from_imaging" and seed == 1 else 0.9
             means = {"rms_spot_um": 12.0, "core_radius_um": 3.0, "energy_in_window": inside}

@@ -92,7 +92,7 @@ def steps(column: str, folders: Folders) -> pandas.DataFrame:
 
 
 def answer(elements: str, folders: Folders) -> pandas.DataFrame:
-    """Return a row for each folder: accuracy of least squares, image quality and a frozen network [%]; gains [points]."""
+    """Return a row for each folder: accuracies of least squares, image quality and a frozen network; gains."""
     rows = pandas.read_csv(FOLDER / "decomposition.csv")
     rows = rows[rows["classifier"] == rows.groupby("study")["classifier"].transform("first")]
     rows = rows[(rows["elements"] == elements) & (rows["fields"] == "all fields")]

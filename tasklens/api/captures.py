@@ -23,7 +23,7 @@ from tasklens.recognition.user_images import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
-from tasklens.runtime.tensors import as_tensor, explained
+from tasklens.runtime.tensors import as_tensor, explain
 from tasklens.settings.capture_settings import SensorSettings
 from tasklens.show.image_files import write_captures
 
@@ -32,7 +32,7 @@ _DRAWS = 8  # draws of nine fields
 _BLOCK = 64  # photographs in memory
 
 
-@explained
+@explain
 def simulate(
     lens: Lens,
     view: View,
@@ -89,7 +89,7 @@ def simulate(
     return camera.all_fields(source[None], torch.Generator().manual_seed(0))[:, 0]
 
 
-@explained
+@explain
 def simulate_whole_sensor(
     lens: Lens,
     view: View,
@@ -194,7 +194,7 @@ def capture_folder(
     files, others = class_folders.contents(folder) if folder.is_dir() else ([], Counter[str]())
     if not files:
         raise InputError(f"{folder}: expected a folder of photographs ({', '.join(class_folders.SUFFIXES)})")
-    if words := class_folders.passed_over(folder, others):
+    if words := class_folders.describe_others(folder, others):
         print(f"tasklens: {words}", file=sys.stderr)
     if output.exists():
         raise InputError(f"{output}: already exists; choose a new folder")

@@ -20,7 +20,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, light_remarks, trace_fields
 from tasklens.optics.io import lens_files
 from tasklens.optics.io.prescription import Prescription, with_system_data
-from tasklens.optics.io.typed import typed
+from tasklens.optics.io.typed import prescription_of
 from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
@@ -28,7 +28,7 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, as_paths, positive
-from tasklens.runtime.tensors import as_tensor, explained
+from tasklens.runtime.tensors import as_tensor, explain
 from tasklens.settings.specification import Spec
 from tasklens.show.figures import figure_of
 from tasklens.show.panel import Panel
@@ -138,7 +138,7 @@ def lens(
     if not colours:
         raise InputError("wavelengths_um: expected at least one wavelength [um]")
     library = Library([*as_paths(catalogues, "catalogues"), *user_files()])
-    prescription = typed(surfaces, f_number, library, colours[len(colours) // 2])
+    prescription = prescription_of(surfaces, f_number, library, colours[len(colours) // 2])
     prescription = replace(prescription, object_distance_mm=float(object_distance_mm))
     changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
     file = lens_files.derive_specification(prescription, changes, colours, 1 / object_distance_mm)
@@ -150,7 +150,7 @@ def lens(
     return file.lens, file.view
 
 
-@explained
+@explain
 def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     """Draw a lens: cross-section with rays, spots, PSFs, ray fans, MTF, field curvature, distortion.
 
@@ -167,7 +167,7 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     return figure_of([Panel.compute(title, lens, view, rays)])
 
 
-@explained
+@explain
 def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any] | None = None) -> None:
     """Write a lens as a lens.yaml, or as a Zemax file if the suffix is .zmx; an existing file is replaced.
 
@@ -194,16 +194,16 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
     if needs_catalogue and catalogue.is_file() and not is_ours(catalogue):
         raise InputError(f"{catalogue}: already exists, and is not ours; choose another name for the lens")
     prescription = with_system_data(Prescription(lens.detached()), view)
-    lens_files.write(path, prescription, notes or described(lens, view))
+    lens_files.write(path, prescription, notes or describe(lens, view))
 
 
-def described(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
+def describe(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
     """Return the specification and the figures of a lens, in the format of a lens.yaml."""
     return {"spec": spec_of(view), "figures": figures(lens, view, rays)}
 
 
 @torch.compiler.disable
-@explained
+@explain
 def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None = None) -> Rays:
     """Trace rays of all F fields and W wavelengths to the image plane; differentiable in the lens.
 
@@ -231,7 +231,7 @@ def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None 
 
 
 @torch.compiler.disable
-@explained
+@explain
 def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> Tensor:
     """Compute the point spread functions of all F fields and W wavelengths; differentiable in the lens.
 
@@ -253,7 +253,7 @@ def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> 
     return grid
 
 
-@explained
+@explain
 def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
     """Compute the optical figures of a lens; names end in their unit, lists have one entry per field.
 

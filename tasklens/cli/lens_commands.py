@@ -63,7 +63,7 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
     from tasklens.optics.analysis.datasheet import figures
     from tasklens.show import glance
 
-    lenses = {name: read(path) for name, path in _named(files, whole=json).items()}
+    lenses = {name: read(path) for name, path in _by_shortest_names(files, whole=json).items()}
     rows = [glance.row(name, lens.content, figures(lens.lens, lens.view, rays)) for name, lens in lenses.items()]
     if json:
         print_json(rows)
@@ -104,7 +104,7 @@ def draw(
     from tasklens.show.panel import Panel
 
     new_file(output, force, ".png", ".svg", ".pdf")
-    lenses = {name: read(path) for name, path in _named(files).items()}
+    lenses = {name: read(path) for name, path in _by_shortest_names(files).items()}
     panels = [Panel.compute(name, lens.lens, lens.view, rays) for name, lens in lenses.items()]
     figures.save(figures.figure_of(panels), [output])
     say(f"wrote {output}")
@@ -200,7 +200,7 @@ def export(
     say_catalogue(output, media)
 
 
-def _named(files: list[Path], whole: bool = False) -> dict[str, Path]:
+def _by_shortest_names(files: list[Path], whole: bool = False) -> dict[str, Path]:
     """Return files by their shortest unique names: stem, file name, or `whole` path."""
     for name in () if whole else (lambda path: path.stem, lambda path: path.name):
         by_name = {name(path): path for path in files}

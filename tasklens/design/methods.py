@@ -68,7 +68,7 @@ def design(
     free = settings.free if isinstance(settings, GradientDesignSettings) else None
     problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, free, plan.fields)
     if isinstance(settings, ImportedLens):
-        return *_imported(settings, problem, plan, classifier), [], None
+        return *_read_imported(settings, problem, plan, classifier), [], None
     origin = {"design": plan.entry.design_name, "method": settings.method, "seed": plan.seed}
     if isinstance(settings, LeastSquaresSettings):
         plates = flat(plan.entry.plastics, plan.spec, plan.constraints)
@@ -122,7 +122,7 @@ def design(
     return final_lens, notes, history, network
 
 
-def _imported(
+def _read_imported(
     settings: ImportedLens, problem: Problem, plan: LensDesign, classifier: nn.Module | None
 ) -> tuple[Lens, Notes]:
     """Read an imported lens and set its focus; return it with the notes for its file."""

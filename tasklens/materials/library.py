@@ -72,7 +72,7 @@ class Library:
         if code := _CODE.fullmatch(name):
             whole = 2 if code[1] < _SMALLEST else 1
             return model_glass(float(f"{whole}.{code[1]}"), int(code[2]) / 10, 0.0, name)
-        raise UnknownGlassError(self._unknown(name))
+        raise UnknownGlassError(self._describe_unknown(name))
 
     def _matches(self, name: str, errors: list[FileError]) -> Iterator[Material]:
         for glasses, unusable in self._sources():
@@ -115,7 +115,7 @@ class Library:
                 f"glass {first.name} taken from {catalogue}; other makers: {', '.join(makers)} (--catalogue)"
             )
 
-    def _unknown(self, name: str) -> str:
+    def _describe_unknown(self, name: str) -> str:
         names = {glass.upper(): glass for glasses, _ in self._sources() for glass in glasses}
         matches = [names[match] for match in difflib.get_close_matches(name.upper(), names, n=3, cutoff=0.6)]
         offer = f"; nearest names: {', '.join(matches)}" if matches else ""

@@ -192,10 +192,10 @@ def from_definitions(content: object, where: str) -> dict[str, Material]:
     """
     if not isinstance(content, Mapping):
         raise FileError(f"{where}: expected materials by name, found {type(content).__name__}")
-    return {name: _defined(name, entry, where) for name, entry in content.items()}
+    return {name: _material(name, entry, where) for name, entry in content.items()}
 
 
-def _defined(name: object, entry: object, where: str) -> Material:
+def _material(name: object, entry: object, where: str) -> Material:
     if not isinstance(name, str) or not name or name == AIR.name:
         raise FileError(f"{where}: {name!r} cannot be the name of a material")
     where = f"{where}: {name}"

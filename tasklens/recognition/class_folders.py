@@ -31,7 +31,7 @@ def is_split(folder: Path) -> bool:
     if not folder.is_dir():
         return True  # its reader reports that it is missing
     names = _subfolders(folder)
-    train, test = _spelled(folder, names, _TRAIN), _spelled(folder, names, _TEST)
+    train, test = _find_split(folder, names, _TRAIN), _find_split(folder, names, _TEST)
     if not names or (train and test):
         return True
     only = train or test
@@ -55,7 +55,7 @@ def _split_folder(folder: Path, names: Sequence[str]) -> Path:
         raise FileError(f"images.folder = {folder}: no such folder of images; correct the path")
     if not is_split(folder):
         return folder
-    if (name := _spelled(folder, _subfolders(folder), names)) is None:
+    if (name := _find_split(folder, _subfolders(folder), names)) is None:
         usual = "train" if names == _TRAIN else "test or val"
         raise FileError(f"images.folder = {folder}: expected a folder {usual} in it, a folder per class")
     return folder / name
@@ -71,7 +71,7 @@ def _is_folder(entry: "os.DirEntry[str]") -> bool:
     return entry.is_dir(follow_symlinks=False) or (entry.is_symlink() and os.path.isdir(entry.path))
 
 
-def _spelled(folder: Path, names: Sequence[str], spellings: Sequence[str]) -> str | None:
+def _find_split(folder: Path, names: Sequence[str], spellings: Sequence[str]) -> str | None:
     """Return the name of a split in any case, by the first of its spellings that occurs; raises FileError for two.
 
     A word or number may follow it, as in test_set or val2017.
@@ -170,11 +170,11 @@ def beside_classes(split: Path) -> Counter[str]:
 def _splits(folder: Path) -> list[Path]:
     """Return the folders of the splits that there are."""
     names = _subfolders(folder)
-    spelled = (_spelled(folder, names, spellings) for spellings in (_TRAIN, _TEST))
+    spelled = (_find_split(folder, names, spellings) for spellings in (_TRAIN, _TEST))
     return [folder / name for name in spelled if name is not None]
 
 
-def passed_over(folder: Path, others: Counter[str]) -> str:
+def describe_others(folder: Path, others: Counter[str]) -> str:
     """Return a line with the number of files that are not read, by kind; empty if there are none."""
     counts = ", ".join(f"{count} {kind}" for kind, count in sorted(others.items()))
     return counts and f"{folder}: passed over: {counts}"

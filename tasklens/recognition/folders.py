@@ -57,7 +57,7 @@ def find(split: Path, limit: int | None, seed: int, least: int = 2) -> Listing:
             raise class_folders.no_image(split / name)
         others += others_inside
         per_class.append([files[i] for i in torch.randperm(len(files), generator=generator)])
-    for words in (class_folders.passed_over(split, others), class_folders.folders_inside(split, per_class)):
+    for words in (class_folders.describe_others(split, others), class_folders.folders_inside(split, per_class)):
         if words:
             print(f"tasklens: {words}", file=sys.stderr)
     places = [((i + 0.5) / len(files), k, file) for k, files in enumerate(per_class) for i, file in enumerate(files)]

@@ -22,7 +22,7 @@ def _shapes(count: int, size: int, generator: torch.Generator) -> Tensor:
     pixels = torch.arange(size) - half + 0.5
     x = pixels - draw.uniform(-0.7 * half, 0.7 * half)
     y = pixels[:, None] - draw.uniform(-0.7 * half, 0.7 * half)
-    shape = scenes.filtered(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 8
+    shape = scenes.filter_noise(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 8
     return scenes.shape_mask(shape - torch.hypot(x, y) / half, 1 - draw.uniform(*_AREA))
 
 

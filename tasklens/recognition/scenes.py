@@ -92,7 +92,7 @@ _TEXTURES: dict[str, Callable[[Tensor, Tensor], Tensor] | None] = {
 CLASSES: tuple[str, ...] = tuple(_TEXTURES)
 
 
-def filtered(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
+def filter_noise(noise: Tensor, gain: Callable[[Tensor], Tensor]) -> Tensor:
     """Filter white noise, and scale every plane to mean 0 and standard deviation 1.
 
     Args:
@@ -147,7 +147,7 @@ def surfaces(name: str, count: int, size: int, periods: tuple[float, float], gen
     v = (angle.cos() * y - angle.sin() * x) / (stretch * period * depth)
     texture = _TEXTURES[name]
     if texture is None:
-        distance = filtered(white(1), lambda f: torch.exp(-((torch.log(f * period) / 0.25) ** 2) / 2)) / 4
+        distance = filter_noise(white(1), lambda f: torch.exp(-((torch.log(f * period) / 0.25) ** 2) / 2)) / 4
     else:
         distance = texture(u, v)
     pattern = torch.tanh(distance * period / EDGE)
@@ -160,7 +160,7 @@ def surfaces(name: str, count: int, size: int, periods: tuple[float, float], gen
 def backgrounds(count: int, size: int, generator: torch.Generator) -> Tensor:
     """Render backgrounds, (count, 3, size, size): coloured noise without fine detail."""
     draw = Draw(count, size, generator)
-    return draw.uniform(0.2, 0.8, 3) + draw.uniform(0.05, 0.15) * filtered(draw.white(3), lambda f: 1 / f)
+    return draw.uniform(0.2, 0.8, 3) + draw.uniform(0.05, 0.15) * filter_noise(draw.white(3), lambda f: 1 / f)
 
 
 def to_uint8(image: Tensor, generator: torch.Generator) -> Tensor:
@@ -178,7 +178,7 @@ def _scenes(name: str, count: int, size: int, periods: tuple[float, float], gene
 
     # A smooth random shape around the centre; a quantile sets the fraction of the image that it covers.
     reach = torch.hypot(pixels, pixels[:, None]) / half
-    shape = filtered(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
+    shape = filter_noise(draw.white(1), lambda f: torch.exp(-((f * size / 1.5) ** 2) / 2)) / 4 - reach
     mask = shape_mask(shape, draw.uniform(0.1, 0.5))
     return to_uint8(ground + mask * (surface - ground), generator)
 

@@ -59,7 +59,7 @@ def run(
 def _call(
     function: str, settings: str, inputs: Mapping[str, Paths], outputs: Mapping[str, str], checkpoint: Path
 ) -> None:
-    with _imported(function) as call:
+    with _import(function) as call:
         kinds = get_type_hints(call)
         parameters = list(signature(call).parameters)
         job_settings = kinds[parameters[0]].model_validate_json(settings, extra="ignore")  # computed fields
@@ -166,7 +166,7 @@ def _digest(*parts: str) -> str:
 
 
 @contextmanager
-def _imported(function: str) -> Iterator[Callable[..., Any]]:
+def _import(function: str) -> Iterator[Callable[..., Any]]:
     """Import the function `package.module.function`, and yield it.
 
     The garbage collector is off during the import, and skips the imported objects while the function runs: to search

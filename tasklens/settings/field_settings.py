@@ -16,7 +16,7 @@ _LEAST = 4  # fields of a set
 _MISSED = 0.1  # largest distance of the nearest field of a set from axis and corner [diagonals]
 
 
-def _checked(value: Any) -> Any:
+def _check_set(value: Any) -> Any:
     """Check a set of fields: a word, or a list of [x, y] from 0 to 1."""
     if isinstance(value, str) and value in NAMED:
         return value
@@ -37,7 +37,7 @@ def _is_point(point: Any) -> bool:
     )
 
 
-FieldSet = Annotated[str | Points, BeforeValidator(_checked)]
+FieldSet = Annotated[str | Points, BeforeValidator(_check_set)]
 
 
 class FieldSettings(Frozen):
@@ -60,7 +60,7 @@ class FieldSettings(Frozen):
     @model_validator(mode="before")
     @classmethod
     def _one_word(cls, value: Any) -> Any:
-        return dict.fromkeys(("design", "grading"), _checked(value)) if isinstance(value, str) else value
+        return dict.fromkeys(("design", "grading"), _check_set(value)) if isinstance(value, str) else value
 
     @property
     def design_points(self) -> Points | None:
@@ -103,7 +103,7 @@ class FieldSettings(Frozen):
         }
         return sets if design is None or design == PAPER else sets | {"design": (design,)}
 
-    def graded(self, design: Points | None) -> dict[str, str]:
+    def grading_sets(self, design: Points | None) -> dict[str, str]:
         """Return the sets of fields at which a lens is graded, by metric; `design` as in `sets`."""
         graded = {"accuracy": "grading", "corner_accuracy": "corner"}
         if self.grading == "paper":

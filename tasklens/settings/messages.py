@@ -68,21 +68,21 @@ def _line(item: ErrorDetails, settings: Any) -> str:
         return f"{'.'.join(keys)}: missing{about}"
     if kind == "extra_forbidden":
         advice = _REMOVED.get(keys[-1]) or f"unknown key{suggestion(keys[-1], place)}"
-        return f"{'.'.join(keys)}{_shown(value)}: {advice}"
+        return f"{'.'.join(keys)}{_assignment(value)}: {advice}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         key = context["discriminator"].strip("'")
         where = ".".join([*keys, key])
         if kind == "union_tag_not_found":
             return f"{where}: missing; expected one of {', '.join(sorted(place))}"
         return f"{where} = {context['tag']!r}: unknown{suggestion(context['tag'], place)}"
-    message = _expected(item)
+    message = _expectation(item)
     if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # the message names a key itself
         return message
-    suffix = "" if "[key]" in item["loc"] or kind == "invalid_key" else _shown(value)
+    suffix = "" if "[key]" in item["loc"] or kind == "invalid_key" else _assignment(value)
     return f"{'.'.join(keys)}{suffix}: {message}" if keys else message
 
 
-def _expected(item: ErrorDetails) -> str:
+def _expectation(item: ErrorDetails) -> str:
     if item["type"] in _KINDS:
         return f"expected {_KINDS[item['type']]}"
     if item["type"] == "too_short":
@@ -95,7 +95,7 @@ def _expected(item: ErrorDetails) -> str:
     return re.sub("^Input should be (a valid )?", "expected ", message)
 
 
-def _shown(value: Any) -> str:
+def _assignment(value: Any) -> str:
     text = {"None": "null", "True": "true", "False": "false"}.get(repr(value), repr(value))  # as YAML has them
     return "" if isinstance(value, Mapping) or len(text) > _LONGEST else f" = {text}"
 
@@ -125,7 +125,7 @@ def _walk(settings: Any, location: Iterable[str | int]) -> tuple[list[str], Mapp
     annotation = settings
     place: Mapping[str, Any] = {}
     for part in location:
-        by_tag = _tagged(annotation)
+        by_tag = _members_by_method(annotation)
         if part in by_tag:
             annotation = by_tag[str(part)]
             continue
@@ -134,7 +134,7 @@ def _walk(settings: Any, location: Iterable[str | int]) -> tuple[list[str], Mapp
         keys.append(str(part))
         place = _fields(annotation)
         annotation = place[str(part)].annotation if part in place else _inside(annotation)
-    return keys, _tagged(annotation) or place
+    return keys, _members_by_method(annotation) or place
 
 
 def _plain(annotation: Any) -> Any:
@@ -154,7 +154,7 @@ def _fields(annotation: Any) -> Mapping[str, Any]:
     return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
 
 
-def _tagged(annotation: Any) -> dict[str, Any]:
+def _members_by_method(annotation: Any) -> dict[str, Any]:
     """Return the settings of a union by their `method`; empty for anything else."""
     union = _plain(annotation)
     if get_origin(union) not in (Union, UnionType):

@@ -8,7 +8,7 @@ SHARP = "sharp"  # used in place of a lens name for measurements on the sharp im
 _RESTORED = "-restored"
 
 
-def measured(name: str, on_restored: bool) -> str:
+def measured_name(name: str, on_restored: bool) -> str:
     """Return the measured name of a classifier, or of the captures of a lens, restored or not."""
     return f"{name}{_RESTORED}" if on_restored else name
 

@@ -141,7 +141,7 @@ def _draw_mtf_by_focus(axes: Axes, panel: Panel, frequency: float) -> None:
     shifts = depth * torch.linspace(-_DEPTHS[-1], _DEPTHS[-1], _SHIFTS, dtype=torch.float64)
     values = torch.stack(
         [
-            torch.cat(geometric_mtf(_shifted(rays, shift), view.directions[shown], [frequency]), -1)
+            torch.cat(geometric_mtf(_on_plane(rays, shift), view.directions[shown], [frequency]), -1)
             for shift in (shifts / 1e3).tolist()
         ]
     )  # (shift, field, direction)
@@ -156,7 +156,7 @@ def _draw_mtf_by_focus(axes: Axes, panel: Panel, frequency: float) -> None:
     _finish(axes)
 
 
-def _shifted(rays: Rays, shift: float) -> Rays:
+def _on_plane(rays: Rays, shift: float) -> Rays:
     """Return rays on an image plane that is moved by `shift` [mm]."""
     return replace(rays, x=rays.x + shift * rays.l / rays.n, y=rays.y + shift * rays.m / rays.n)
 

@@ -129,7 +129,7 @@ def claims(study: Study) -> Claims:
                 text=text,
                 lens=lens,
                 baselines=baselines,
-                classifier=names.measured(classifier, table.restored),
+                classifier=names.measured_name(classifier, table.restored),
                 reference=classifier,
                 margin=MARGIN if text == OVER_END_TO_END else 0.0,
             )

@@ -43,7 +43,7 @@ def effort(study: Study) -> Efforts:
     efforts = (
         Effort(
             lens=name,
-            tried=_tried(study.lens(name).design),
+            tried=_count_candidates(study.lens(name).design),
             chosen_from=_chosen_from(study, name),
         )
         for name in study.lenses
@@ -57,7 +57,7 @@ def _chosen_from(study: Study, lens: str) -> tuple[str, ...]:
     return tuple(dict.fromkeys([*nearest, *(other for near in nearest for other in _chosen_from(study, near))]))
 
 
-def _tried(design: DesignSettings | ImportedLens) -> int:
+def _count_candidates(design: DesignSettings | ImportedLens) -> int:
     if isinstance(design, ImportedLens):
         return 0
     if isinstance(design, LeastSquaresSettings):

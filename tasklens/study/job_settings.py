@@ -144,7 +144,7 @@ class FineTuningJob(CapturePipelineSettings):
         keys = {"classifier": name, "restored": restored, "seed": seed}
         return cls(
             **_pipeline(study, lens, restored),
-            graded={"accuracy": "grading"} if lens == SHARP else study.fields.graded(study.design_points(lens)),
+            graded={"accuracy": "grading"} if lens == SHARP else study.fields.grading_sets(study.design_points(lens)),
             classifier=study.classifier(name),
             training=study.fine_tuning,
             columns=lens_columns(study, lens) | keys,

@@ -159,7 +159,7 @@ def at_points(study: Study) -> list[Study]:
     for key in study.sweep:
         if key.startswith("capture.sensor") and "capture.colour" not in study.sweep:
             study.capture.check_new_sensor({"sensor": key}, f"sweep.{key}")
-    common = resolved(study) | {"sweep": {}}
+    common = resolve(study) | {"sweep": {}}
     studies = []
     for name, point in points(study.sweep).items():
         content = common | {"name": f"{study.name}/{name}"}
@@ -173,7 +173,7 @@ def at_points(study: Study) -> list[Study]:
     return studies
 
 
-def resolved(study: Study) -> dict[str, Any]:
+def resolve(study: Study) -> dict[str, Any]:
     """Return a study with all defaults, as keys and values of a file."""
     return yaml.safe_load(dump(study))
 
@@ -201,7 +201,7 @@ def whole_study_name(name: str) -> str:
 
 
 def _part(study: Study, names: list[str]) -> Study:
-    content = resolved(study)
+    content = resolve(study)
     content |= {
         "name": f"{study.name}{_SEPARATOR}{'+'.join(names)}",
         "tables": ["table1"],

@@ -93,14 +93,14 @@ class CapturesJob(SeededMeasurements):
         )
 
     @property
-    def restored(self) -> list[str]:
+    def restored_lenses(self) -> list[str]:
         """Lenses with a restoration network."""
         return sorted({lens for lens, name in self.measured if names.split(name)[1]})
 
     @property
     def restored_keys(self) -> list[LensKey]:
         """These lenses."""
-        return [LensKey(lens, *self.seeds) for lens in self.restored]
+        return [LensKey(lens, *self.seeds) for lens in self.restored_lenses]
 
     @property
     def supervised_keys(self) -> list[MeasuredKey]:

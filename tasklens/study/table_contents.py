@@ -94,7 +94,7 @@ def table(study: Study, name: str) -> TableContents:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
     classifiers, restored = tuple(study.classifiers) if name == "table2" else (study.supervisor,), name == "table4"
     sharp = [(SHARP, classifier) for classifier in classifiers]
-    captures = [(lens.name, names.measured(classifier, restored)) for lens in lenses for classifier in classifiers]
+    captures = [(lens.name, names.measured_name(classifier, restored)) for lens in lenses for classifier in classifiers]
     return TableContents(
         study=study.name,
         name=name,

@@ -102,7 +102,7 @@ class Aim:
         names = ("tangents", "targets", "paraxial") if self.chief is None else ("targets",)
         return replace(self, **{name: scale[:, None] * getattr(self, name) for name in names})
 
-    def predicted(self, point: Tensor, before: Tensor, scale: Tensor) -> Tensor:
+    def predict(self, point: Tensor, before: Tensor, scale: Tensor) -> Tensor:
         """Predict launch points (M, 2) at `scale` (M, 1) from the solutions `point` at the scale `before`.
 
         Third-order aberrations predict x(s) = a s + b s^3 from the axis outward, with a from paraxial optics and b from
@@ -191,7 +191,7 @@ def follow(aim: Aim, guess: Tensor) -> Solution:
         if not len(pending):
             break
         s = reached[pending, None]
-        start = aim.part(pending).predicted(point[pending], s, (s + stride[pending, None]).clamp(max=1))
+        start = aim.part(pending).predict(point[pending], s, (s + stride[pending, None]).clamp(max=1))
     aimed = reached == 1
     status[aimed], lost_at[aimed] = int(RayStatus.OK), -1
     return Solution(point, status, lost_at)

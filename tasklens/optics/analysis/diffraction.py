@@ -119,9 +119,9 @@ class _Waves:
         """
         dx, dy = (torch.maximum(p.min() - v, v - p.max()).clamp(min=0) for p, v in ((x, self.x), (y, self.y)))
         outside = torch.maximum(dx, dy)
-        return self.chosen(outside <= outside.min().clamp(min=beyond)) if len(outside) else self
+        return self.select(outside <= outside.min().clamp(min=beyond)) if len(outside) else self
 
-    def chosen(self, mask: Tensor) -> "_Waves":
+    def select(self, mask: Tensor) -> "_Waves":
         """Return the waves that `mask` selects."""
         return _Waves(*(getattr(self, name)[mask] for name in self.__dataclass_fields__))
 
@@ -146,7 +146,7 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int) -> _Wav
     determinant = dl[0] * dm[1] - dl[1] * dm[0]
     diverging = torch.where(determinant < 0, 1, torch.where(dl[0] + dm[1] > 0, 2, 0))
     length = length - l[0] * x - m[0] * y + 1e-3 * view.wavelengths_um[channel] / 4 * diverging
-    return _Waves(x, y, l[0], m[0], length, determinant.abs(), weight).chosen(valid)
+    return _Waves(x, y, l[0], m[0], length, determinant.abs(), weight).select(valid)
 
 
 def _turn(cycles: Tensor) -> Tensor:

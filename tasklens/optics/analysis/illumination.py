@@ -37,21 +37,21 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
     points, weights = gauss_quadrature(rings, arms)  # half pupil x > 0: fields on y are symmetric in x
     indices = lens.refractive_indices(with_axis.wavelengths_um)
 
-    def launched(pupil: Tensor) -> Tensor:
+    def launch_points(pupil: Tensor) -> Tensor:
         rays = launch_fields(lens, with_axis, pupil)
         return torch.stack([rays.x, rays.y, rays.l, rays.m], -1)[:, 0]
 
-    def traced(fields: Tensor) -> tuple[Tensor, Tensor]:
+    def trace_points(fields: Tensor) -> tuple[Tensor, Tensor]:
         start = launch_fields(lens, replace(with_axis, fields=fields), points)
         end = trace(lens, start, indices)
         return torch.stack([start.x, start.y, start.l, start.m, end.x, end.y], -1)[:, 0], end.valid[:, 0]
 
     fields, directions = with_axis.fields, torch.eye(2, dtype=points.dtype)
     _, along_pupil = torch.func.jvp(  # type: ignore[misc]
-        launched, (points.repeat(2, 1),), (directions.repeat_interleave(len(points), 0),)
+        launch_points, (points.repeat(2, 1),), (directions.repeat_interleave(len(points), 0),)
     )
     _, along_fields, arrives = torch.func.jvp(  # type: ignore[misc]
-        traced, (fields.repeat(2, 1),), (directions.repeat_interleave(len(fields), 0),), has_aux=True
+        trace_points, (fields.repeat(2, 1),), (directions.repeat_interleave(len(fields), 0),), has_aux=True
     )
     px, py = along_pupil.unflatten(1, (2, -1)).unbind(1)
     fx, fy = along_fields.unflatten(0, (2, -1)).unbind(0)

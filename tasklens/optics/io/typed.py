@@ -17,7 +17,7 @@ from tasklens.runtime.files import positive
 _KEYS = ("radius", "curvature", "thickness", "material", "conic", "semi_diameter", "stop")
 
 
-def typed(
+def prescription_of(
     surfaces: Sequence[Mapping[str, Any]], f_number: float | None, library: Library, wavelength: float
 ) -> Prescription:
     """Return the prescription of a lens from its surfaces.

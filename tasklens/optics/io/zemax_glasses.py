@@ -32,7 +32,9 @@ class NamedGlasses:
         """
         glasses = [glass for glass in dict.fromkeys(media) if glass != AIR and glass.formula != "model"]
         candidates = dict.fromkeys(glass.zemax.split()[0] for glass in glasses if glass.zemax)
-        catalogues = min(permutations(candidates), key=lambda order: sum(_hidden(glass, order) for glass in glasses))
+        catalogues = min(
+            permutations(candidates), key=lambda order: sum(_may_be_hidden(glass, order) for glass in glasses)
+        )
         names: dict[Material, str] = {}
         own: list[Material] = []
         for glass in glasses:
@@ -40,7 +42,7 @@ class NamedGlasses:
             if name in names.values():
                 name = f"{name}_{len(own) + 2}"
                 own.append(replace(glass, name=name))
-            elif not glass.zemax or _hidden(glass, catalogues):
+            elif not glass.zemax or _may_be_hidden(glass, catalogues):
                 own.append(replace(glass, name=name))
             names[glass] = name
         in_use = {
@@ -50,7 +52,7 @@ class NamedGlasses:
         return cls(names, [*([catalogue.upper()] if own else []), *search_order], own)
 
 
-def _hidden(glass: Material, catalogues: Sequence[str]) -> bool:
+def _may_be_hidden(glass: Material, catalogues: Sequence[str]) -> bool:
     """Return whether a catalogue that is searched before the glass's own may have another glass of its name."""
     if not glass.zemax:
         return False

@@ -64,7 +64,7 @@ def check_system(line: Line) -> None:
     if line.keyword in _CONFIGURATION:
         check_configuration(line)
     elif line.keyword not in SYSTEM | _HARMLESS_SYSTEM:
-        raise _unknown(line)
+        raise _unknown_keyword(line)
     _check_neutral(line)
     if line.keyword == "GFAC" and not _uniform(line):
         raise line.error(f"apodised pupils are not supported; switch the apodisation off in Zemax; found {line.text!r}")
@@ -82,7 +82,7 @@ def check_surface(line: Line) -> None:
     if line.keyword.startswith("NS") or (line.keyword == "TYPE" and line.words[:1] == ["NONSEQCO"]):
         raise line.error("non-sequential components are not supported; expected a file of sequential surfaces only")
     if line.keyword not in SURFACE | _HARMLESS_SURFACE | _APERTURES | {"OBDC", "IGNR", "HIDE"}:
-        raise _unknown(line)
+        raise _unknown_keyword(line)
     if line.keyword in ("IGNR", "HIDE"):
         _check_neutral(line)
 
@@ -115,5 +115,5 @@ def _check_neutral(line: Line) -> None:
             raise line.error(f"{message}; found {line.text!r}")
 
 
-def _unknown(line: Line) -> Exception:
+def _unknown_keyword(line: Line) -> Exception:
     return line.error(f"unknown keyword (with {line.text!r}), which may change rays; delete the line if it does not")

@@ -56,7 +56,7 @@ def traced_displacements(lens: Lens, view: View, errors: Sequence[Error], rays: 
     nominal = trace_fields(lens, view, pupil)
     core = _core(lens, view, nominal)
 
-    def squared(fractions: Tensor) -> float:
+    def mean_square(fractions: Tensor) -> float:
         moved = trace_fields(with_errors(lens, errors, fractions, view.reference_um), view, pupil)
         valid = core & moved.valid
         if not valid.any(-1).any(-1).all():
@@ -65,7 +65,7 @@ def traced_displacements(lens: Lens, view: View, errors: Sequence[Error], rays: 
         q = _centre(torch.stack([moved.l / moved.n, moved.m / moved.n]), valid)
         return float(_mean(d * d, valid) - _mean(d * q, valid) ** 2 / _mean(q * q, valid))
 
-    squares = [squared(e) + squared(-e) for e in torch.eye(len(errors), dtype=torch.float64)]
+    squares = [mean_square(e) + mean_square(-e) for e in torch.eye(len(errors), dtype=torch.float64)]
     return 1e3 * (torch.tensor(squares, dtype=torch.float64) / 2).clamp(min=0).sqrt()
 
 

@@ -12,7 +12,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.traced import Inputs, Traced
 from tasklens.runtime.first_derivative import FirstDerivative
-from tasklens.runtime.tensors import explained
+from tasklens.runtime.tensors import explain
 
 _OUTPUTS = (0, 1, 3, 4, 5, 6)  # rows of the image without z, which is zero
 _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `Inputs`
@@ -42,7 +42,7 @@ class _Trace(torch.autograd.Function):
         ctx.set_materialize_grads(False)
 
     @staticmethod
-    @explained
+    @explain
     def backward(ctx, *gradients):
         def reverse(*arguments):
             return ctx.notes.traced.reverse(arguments[: len(gradients)], _OUTPUTS, ctx.needs_input_grad[1:])
@@ -71,12 +71,12 @@ def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
     Returns:
         The rays on the image plane, z = 0.
     """
-    return _traced(lens, rays, indices, record=False)[0]
+    return _trace(lens, rays, indices, record=False)[0]
 
 
 def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays]]:
     """Trace rays as `trace` does; return also the rays behind every surface, z from its vertex, without gradient."""
-    image, traced = _traced(lens, rays, indices, record=True)
+    image, traced = _trace(lens, rays, indices, record=True)
     return image, _record(traced)
 
 
@@ -90,7 +90,7 @@ def _record(traced: Traced) -> list[Rays]:
     return states
 
 
-def _traced(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays, Traced]:
+def _trace(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays, Traced]:
     size = numpy.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))  # torch.broadcast_shapes takes 20 times as long
     components = (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     start = torch.stack([v if v.shape == size else v.expand(size) for v in components]).to(lens.dtype)
@@ -150,7 +150,7 @@ class Linearised(NamedTuple):
 def linearise(lens: Lens, rays: Rays, indices: Tensor) -> Linearised:
     """Trace rays as `trace_full` does but without a graph, with the derivative along changes of the lens."""
     with torch.no_grad():
-        image, traced = _traced(lens.detached(), rays, indices, record=True)
+        image, traced = _trace(lens.detached(), rays, indices, record=True)
 
     def derivative(changes: Mapping[str, Tensor]) -> Derivative:
         along = [changes.get(name) for name in _PARAMETERS]

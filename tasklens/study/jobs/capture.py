@@ -38,7 +38,7 @@ def run(
 
     Args:
         psfs: PSFs of the lenses in `settings.captures`.
-        restorations: restoration networks of the lenses in `settings.restored`.
+        restorations: restoration networks of the lenses in `settings.restored_lenses`.
         weights: networks of `settings.measured`.
         correct: prediction files of `settings.chosen_by`.
     """
@@ -54,7 +54,7 @@ def run(
         field_tensors = (tensor[list(FIELDS)].to(device) for tensor in (grid, light))
         camera = PsfCamera.of(settings.captures[lens], *field_tensors)
         captures[lens, False] = camera.all_fields(sharp, torch.Generator().manual_seed(0)).transpose(0, 1)
-    for lens, path in zip(settings.restored, restorations, strict=True):
+    for lens, path in zip(settings.restored_lenses, restorations, strict=True):
         assert settings.restoration is not None  # settings of the networks
         network = nafnet.load(settings.restoration, path).to(device)
         captures[lens, True] = network(captures[lens, False].flatten(0, 1)).unflatten(0, (len(indices), -1))
@@ -72,7 +72,9 @@ def run(
                 keys |= {"restored": restored, "classifier": name, "answer": answer, "probability": probability}
                 rows.append(keys | {"psnr_db": None if lens == SHARP else quality[k][f]})
     write_rows(answers, rows)
-    levels = {names.measured(*key): (255 * capture).round().clamp(0, 255).byte() for key, capture in captures.items()}
+    levels = {
+        names.measured_name(*key): (255 * capture).round().clamp(0, 255).byte() for key, capture in captures.items()
+    }
     write_tensors(images, levels, {})
 
 

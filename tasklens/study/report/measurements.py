@@ -9,7 +9,7 @@ import pandas
 
 from tasklens.optics.io import lens_digest
 from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
-from tasklens.runtime.files import damaged, read_table, read_yaml
+from tasklens.runtime.files import damage, read_table, read_yaml
 from tasklens.show import predictions
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.table_contents import LensKey, MeasuredKey, SeededMeasurements
@@ -84,22 +84,22 @@ class Measurements:
 
     def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
         """Return the loss of the frozen classifier for each minival image, mean over fields."""
-        return self._frozen(lens, classifier, seed).mean(axis=1)
+        return self._read_frozen_losses(lens, classifier, seed).mean(axis=1)
 
     def losses_by_field(self, lens: str, classifier: str, seed: int) -> pandas.Series:
         """Return the loss of the frozen classifier at each field, mean over minival images."""
-        return self._frozen(lens, classifier, seed).mean()
+        return self._read_frozen_losses(lens, classifier, seed).mean()
 
-    def _frozen(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+    def _read_frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Read the losses of the frozen classifier: a row per minival image, a column per field; raises FileError."""
         path = self.frozen[MeasuredKey(lens, classifier, seed)]
         frame = read_table(path, dtype={"label": str}, keep_default_na=False)
         try:
             losses = frame.set_index(["image", "label"]).astype(float)
         except (KeyError, ValueError) as error:
-            raise damaged(path, f"no losses of images ({error})") from None
+            raise damage(path, f"no losses of images ({error})") from None
         if losses.empty or losses.isna().any(axis=None):
-            raise damaged(path, "a loss is missing")
+            raise damage(path, "a loss is missing")
         return losses
 
     def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> float:

@@ -51,7 +51,7 @@ def make(
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
     means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}
-    losses = {lens: _built(path) for lens, path in zip(facts.built, built, strict=True)}
+    losses = {lens: _loss_as_built(path) for lens, path in zip(facts.built, built, strict=True)}
     rows = []
     for rank in ranks:
         content = contents[rank.lens][1]
@@ -117,7 +117,7 @@ def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]
     )
 
 
-def _built(path: Path) -> dict[str, float]:
+def _loss_as_built(path: Path) -> dict[str, float]:
     """Return the accuracy that built lenses lose against their design [points]: the mean, and the most of 95 %."""
     built = distribution(read_table(path).to_dict("records"))
     return {"built_lose": built["lost"], "built_lose_95": built["accuracy_design"] - built["accuracy_5th"]}

@@ -59,9 +59,9 @@ def collect(contents: TableContents, measurements: Measurements) -> pandas.DataF
             sharp_values |= _frozen_values(SHARP, (), classifier, seed, measurements)
             rows.append({"elements": "", "design": "reference", "seed": seed} | sharp_values)
         for lens in contents.lenses:
-            values = measurements.values(lens, names.measured(classifier, contents.restored), seed)
+            values = measurements.values(lens, names.measured_name(classifier, contents.restored), seed)
             row = _row(lens, classifier, seed, sharp, values, measurements)
-            row |= measurements.accuracy_by_field(lens, names.measured(classifier, contents.restored), seed)
+            row |= measurements.accuracy_by_field(lens, names.measured_name(classifier, contents.restored), seed)
             rows.append(row | _frozen_values(lens, contents.gaps.get(lens, ()), classifier, seed, measurements))
     return pandas.DataFrame(rows)
 

@@ -64,7 +64,7 @@ def compare(lenses: Mapping[LensKey, Path], pairs: Sequence[tuple[str, str]], se
     for lens, baseline in pairs:
         by_seed = []
         for seed in seeds:
-            losses = [_lost(lenses[LensKey(name, seed)]) for name in (lens, baseline)]
+            losses = [_accuracy_losses(lenses[LensKey(name, seed)]) for name in (lens, baseline)]
             by_seed.append(losses[0] - losses[1])
         columns = numpy.stack(
             [resampled_means(values[:, None], seed=2 + k)[:, 0] for k, values in enumerate(by_seed)], 1
@@ -82,7 +82,7 @@ def compare(lenses: Mapping[LensKey, Path], pairs: Sequence[tuple[str, str]], se
     return table
 
 
-def _lost(path: Path) -> numpy.ndarray:
+def _accuracy_losses(path: Path) -> numpy.ndarray:
     """Return the accuracy that each built lens loses [points]."""
     accuracy = read_table(path)["accuracy"].to_numpy(float)
     return accuracy[0] - accuracy[1:]

@@ -132,7 +132,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
         sharp = row["elements"] == ""
         lens = SHARP if sharp else f"{row['elements']}-{row['design']}"
         classifier = row.get("classifier", contents.classifiers[0])
-        name = classifier if sharp else names.measured(classifier, contents.restored)
+        name = classifier if sharp else names.measured_name(classifier, contents.restored)
         reproduced = sum(accuracy[lens, name, seed] for seed in contents.seeds) / len(contents.seeds)
         if not abs(row["accuracy"] - reproduced) <= 100 * DIFFERENT:
             value = f"{row['accuracy']:.2f} % in the table, {reproduced:.2f} % from the weights"

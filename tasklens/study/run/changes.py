@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from tasklens.study.loading import read, resolved
+from tasklens.study.loading import read, resolve
 from tasklens.study.run.forecast import Durations, duration
 from tasklens.study.study import Study
 
@@ -67,7 +67,7 @@ def changes(old: Mapping[str, Any], new: Mapping[str, Any], prefix: str = "") ->
 def since_last_run(study: Study) -> list[Change]:
     """Return the values changed since the last run of a study; none before the first run."""
     stored = Path("results", study.name, "study.yaml")
-    return changes(read(stored), resolved(study)) if stored.exists() else []
+    return changes(read(stored), resolve(study)) if stored.exists() else []
 
 
 def _by_number(value: Any) -> Any:

@@ -85,10 +85,10 @@ class Run:
     def known_seconds(self, durations: Durations) -> tuple[list[float], list[float]]:
         """Return the remaining times of waiting and of running jobs [s]; leave out jobs of unknown duration."""
         waiting = [durations.seconds(self.jobs[label].rule) for label in self.labels(WAITING)]
-        running = [self._left(label, durations) for label in self.labels(RUNNING)]
+        running = [self._remaining_seconds(label, durations) for label in self.labels(RUNNING)]
         return [value for value in waiting if value is not None], [value for value in running if value is not None]
 
-    def _left(self, label: str, durations: Durations) -> float | None:
+    def _remaining_seconds(self, label: str, durations: Durations) -> float | None:
         """Return the remaining time of a running job [s]: the longer of the estimates by its phase and by its rule."""
         job, progress = self.jobs[label], self.progress(label)
         expected = durations.seconds(job.rule)
@@ -114,7 +114,7 @@ class Run:
         if "phase" in progress:
             words.append(f"{progress['phase']} {progress['step']}/{progress['total']}")
             words += [f"{name} {value:.4g}" for name, value in progress["values"].items()]
-        left = self._left(label, durations)
+        left = self._remaining_seconds(label, durations)
         if left:
             words.append(f"{duration(left)} left")
         silent = time.time() - progress["updated"]

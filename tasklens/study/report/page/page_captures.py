@@ -8,7 +8,7 @@ import pandas
 from safetensors.numpy import load_file
 
 from tasklens.runtime.files import read_table
-from tasklens.settings.names import SHARP, measured
+from tasklens.settings.names import SHARP, measured_name
 from tasklens.show import pictures
 
 
@@ -44,7 +44,7 @@ def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[Image
     for position, (image, label) in enumerate(images):
         captures = {}
         for (lens, restored), rows in answers[answers["image"] == image].groupby(["lens", "restored"], sort=False):
-            array = arrays[measured(str(lens), bool(restored))][position]
+            array = arrays[measured_name(str(lens), bool(restored))][position]
             captures[str(lens), bool(restored)] = [
                 Tile(pictures.of_array(array[k]), _alternative(of_field), str(field), of_field.to_dict("records"))
                 for k, (field, of_field) in enumerate(rows.groupby("field", sort=False))
