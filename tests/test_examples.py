@@ -72,10 +72,12 @@ BRIEF = {"own_network": [("lambda sharp: sharp, 400,", "lambda sharp: sharp, 120
 
 
 def cells(notebook: Path) -> list[str]:
-    """Code cells of a notebook, which is stored without outputs."""
+    """Code cells of a notebook, which is stored with what they print and display."""
     content = json.loads(notebook.read_text(encoding="utf-8"))
     code = [cell for cell in content["cells"] if cell["cell_type"] == "code"]
-    assert content["nbformat"] == 4 and all(cell["outputs"] == [] and cell["execution_count"] is None for cell in code)
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert content["nbformat"] == 4 and [cell["execution_count"] for cell in code] == [*range(1, len(code) + 1)]
+    assert any("data" in output for output in outputs) and all(output.get("name") != "stderr" for output in outputs)
     return ["".join(cell["source"]) for cell in code]
 
 

@@ -128,6 +128,7 @@ def test_a_figure_drawn_twice_is_the_same_file(panel, tmp_path):
         assert first == second, kind
     with Image.open(tmp_path / "first" / "lens.png") as picture:
         assert picture.width > 1000 and len(picture.convert("RGB").getcolors(1 << 24)) > 100
+    assert figures.figure_of([panel])._repr_png_().startswith(b"\x89PNG")  # as a notebook displays it
     assert "geometric MTF" in (tmp_path / "first" / "lens.svg").read_text()
     assert (tmp_path / "first" / "lens.pdf").read_bytes().startswith(b"%PDF")
 

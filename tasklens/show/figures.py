@@ -4,6 +4,7 @@ All panels about the sensor have the same axes, x to the right and y upward, and
 chief ray.
 """
 
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -26,20 +27,29 @@ from tasklens.show.panel import RIM, Panel
 from tasklens.show.spot_panels import draw_psfs, draw_spots
 
 _SHOWN = 0.95  # fraction of the rays of a spot that is drawn at least
-_DPI = 110
+_DPI, _NOTEBOOK_DPI = 110, 80
 _PLACES = 6  # decimals of a position in a figure
 _NIGHT: Any = {"figure.facecolor": "black"} | dict.fromkeys(
     ("text.color", "axes.labelcolor", "axes.edgecolor"), "white"
 )
 
 
-def figure_of(panels: Sequence[Panel]) -> Figure:
+class NotebookFigure(Figure):
+    """A figure that a notebook displays without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        stream = io.BytesIO()
+        self.savefig(stream, format="png", dpi=_NOTEBOOK_DPI)
+        return stream.getvalue()
+
+
+def figure_of(panels: Sequence[Panel]) -> NotebookFigure:
     """Return the figure of one lens, or of several one above the other."""
     mm = min(float(panel.lens.thickness.sum()) for panel in panels)
     um = min(panel.view.kernel_size * panel.view.pixel_pitch_um for panel in panels)
     half_um = _round_up(max(_spread_um(panel) for panel in panels))
     panels = [replace(panel, narrowest_mm=mm, narrowest_um=um, half_um=half_um) for panel in panels]
-    whole = Figure(figsize=(13, 13.4 * len(panels)), layout="constrained")
+    whole = NotebookFigure(figsize=(13, 13.4 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     return whole
