@@ -33,15 +33,15 @@ def draw(
     parts = [(name, comparisons[comparisons["lens"].str.startswith(f"{name}-")]) for name in elements]
     designs = {name: accuracies[accuracies["elements"] == name] for name in elements}
     heights = [_FRAME + _ROW * max(len(rows), designs[name]["design"].nunique()) for name, rows in parts]
-    figure = Figure(figsize=(10.5, sum(heights)), layout="constrained")
+    figure = Figure(figsize=(13, sum(heights)), layout="constrained")
     panels = figure.subplots(len(parts), 2, squeeze=False, sharex="col", height_ratios=heights)
     for (left, right), (name, rows) in zip(panels, parts, strict=True):
         _differences(left, rows, name)
         _errors(right, designs[name], {lens.removeprefix(f"{name}-") for lens in task_driven}, sharp)
     panels[0][0].set_title("Gain of the task-driven lens", fontsize="medium")
-    panels[0][1].set_title("Wrong answers; each dot is one seed", fontsize="medium")
+    panels[0][1].set_title("Wrong answers; a dot for each seed, dotted: without a lens", fontsize="medium")
     panels[-1][0].set_xlabel("difference of accuracy [points]")
-    panels[-1][1].set(xlabel="wrong answers [%], fewer to the right; dotted: no lens", xscale="log")
+    panels[-1][1].set(xlabel="wrong answers [%], fewer to the right", xscale="log")
     panels[-1][1].invert_xaxis()
     panels[-1][1].xaxis.set(major_locator=LogLocator(subs=(1, 3)), major_formatter="{x:g}")
     panels[-1][1].xaxis.set_minor_formatter(NullFormatter())
