@@ -8,7 +8,7 @@ ROOT = Path(__file__).parents[1]
 BUDGETS = {  # by unit and files; the aim of the next version in parentheses
     ("lines", "tasklens/**/*.py restoration/**/*.py"): 30_300,  # (25 000)
     ("lines", "workflow/**/*.smk workflow/**/*.py Snakefile"): 1_400,
-    ("lines", "tests/**/*.py"): 23_800,  # (19 500)
+    ("lines", "tests/**/*.py"): 23_900,  # (19 500)
     ("files", "tasklens/**/*.py restoration/**/*.py"): 255,  # (230)
     ("words", "README.md"): 830,  # (800)
     ("words", "docs/*.md"): 14_500,
