@@ -28,7 +28,7 @@ def main(arguments: list[str] | None = None) -> None:
         for split in ("train", "minival")
     )
     rows = []
-    for lens in options.lenses or report_jobs.CapturesJob.of(study).restored:
+    for lens in options.lenses or report_jobs.CapturesJob.of(study).restored_lenses:
         job = RestorationJob.of(study, lens, study.seeds[0])
         path = options.results / "lenses" / lens / f"seed{job.seed}" / "psf.safetensors"
         pipelines = [

@@ -186,9 +186,9 @@ def test_metrics_of_each_set():
     assert default.grading_sets(PAPER)["accuracy_at_design_fields"] == "nine"
     assert default.grading_sets(OWN)["accuracy_at_design_fields"] == "design" and default.sets(OWN)["design"] == (OWN,)
     assert FieldSettings(nine=True).grading_sets(None)["accuracy_at_nine"] == "nine"
-    assert paper.graded(PAPER) == {"accuracy": "grading", "corner_accuracy": "corner"}
+    assert paper.grading_sets(PAPER) == {"accuracy": "grading", "corner_accuracy": "corner"}
     for settings, design in itertools.product((default, paper, FieldSettings(nine=True)), (None, PAPER, OWN)):
-        assert {*settings.graded(design).values()} <= {*settings.sets(design)}
+        assert {*settings.grading_sets(design).values()} <= {*settings.sets(design)}
 
 
 # ---- the paper's nine for both

@@ -1,5 +1,6 @@
-"""Curves of a lens: ray fans, MTF and encircled energy; MTF, focus and distortion from the axis to the corner."""
+"""Curves of a lens: ray fans, MTF by frequency and focus, encircled energy; spot, MTF and distortion by field."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -9,7 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 from torch import Tensor
 
 from tasklens.optics.analysis.aberrations import field_curvature
-from tasklens.optics.analysis.mtf import geometric_mtf, perfect_mtf
+from tasklens.optics.analysis.mtf import limited_mtf, perfect_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import (
     centroid,
@@ -34,7 +35,7 @@ _SHIFTS = 129  # number of shifts of the image plane
 _DEPTHS = (8, 16, 32)  # largest shift, in pixel pitches times the F-number: the first that shows all peaks
 _BEYOND = 1.25  # shown range, as a multiple of the shift of the farthest peak
 _SLOWEST = 1e3  # F-number; that of an afocal lens is infinite
-_FIELDS, _RAYS = 21, 1024  # from the axis to the corner; rays of each and of each wavelength
+_FIELDS, _RAYS = 51, 1024  # from the axis to the corner; rays of each and of each wavelength
 
 
 def draw_ray_fans(part: SubFigure | Figure, panel: Panel) -> None:
@@ -72,9 +73,9 @@ def draw_sharpness(part: SubFigure | Figure, panel: Panel) -> None:
     spot.set(xlabel="field [degrees]", title="RMS spot about the centroid [um]")
     spot.set_ylim(bottom=0)
     frequency = panel.figures["nyquist_per_mm"] / 2
-    for values, style, label in zip(geometric_mtf(rays, view.directions, [frequency]), ("-", "--"), "TS", strict=True):
+    for values, style, label in zip(_mtf(rays, view, [frequency]), ("-", "--"), "TS", strict=True):
         mtf.plot(angles, values[:, 0], color="black", lw=1, ls=style, label=label)
-    mtf.set(ylim=(0, 1.02), xlabel="field [degrees]", title=f"geometric MTF at {frequency:.0f} cycles/mm")
+    mtf.set(ylim=(0, 1.02), xlabel="field [degrees]", title=f"MTF at {frequency:.0f} cycles/mm")
     for axes in (spot, mtf):
         _finish(axes)
 
@@ -95,22 +96,18 @@ def _along_radius(view: View) -> tuple[View, Tensor]:
 
 
 def _draw_mtf(axes: Axes, panel: Panel) -> None:
-    """Draw the MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens grey.
-
-    It is the geometric MTF times that of a perfect lens, an approximation that keeps below the limit.
-    """
+    """Draw the MTF up to the Nyquist frequency: T solid, S dashed, a perfect lens on the axis grey."""
     nyquist, cutoff = panel.figures["nyquist_per_mm"], panel.figures["diffraction_cutoff_per_mm"]
     frequencies = torch.linspace(0, nyquist, _FREQUENCIES, dtype=torch.float64)
     limit = perfect_mtf(frequencies, cutoff)
-    by_rays = geometric_mtf(panel.rays, panel.view.directions, frequencies.tolist())
-    tangential, sagittal = (limit * values for values in by_rays)
+    tangential, sagittal = _mtf(panel.rays, panel.view, frequencies.tolist())
     for k, ((field, name), colour) in enumerate(zip(panel.field_names.items(), FIELD_COLOURS, strict=False)):
         marker: Any = {"color": colour, "marker": _MARKERS[k], "markevery": 8, "ms": 3, "lw": 1}
         axes.plot(frequencies, tangential[field], label=f"{name} T", **marker)
         axes.plot(frequencies, sagittal[field], ls="--", mfc="white", label=f"{name} S", **marker)
-    axes.plot(frequencies, limit, color="grey", lw=1, ls=":", label="diffraction limit")
+    axes.plot(frequencies, limit, color="grey", lw=1, ls=":", label="perfect, axis")
     axes.set(
-        xlim=(0, nyquist), ylim=(0, 1.02), xlabel="cycles/mm, up to Nyquist", title="MTF: geometric x diffraction limit"
+        xlim=(0, nyquist), ylim=(0, 1.02), xlabel="cycles/mm, up to Nyquist", title="MTF: geometric × diffraction limit"
     )
     _finish(axes)
 
@@ -125,10 +122,11 @@ def _draw_encircled_energy(axes: Axes, panel: Panel) -> None:
         axes.plot(radii, energy[field], color=colour, marker=_MARKERS[k], markevery=10, ms=3, lw=1, label=name)
     axes.axhline(0.5, color="grey", lw=0.6)
     axes.axvline(view.pixel_pitch_um, color="grey", lw=1, ls=":", label="a pixel")
+    axes.axvline(panel.figures["airy_radius_um"], color="grey", lw=1, ls="-.", label="Airy radius")
     half = view.kernel_size * view.pixel_pitch_um / 2
     axes.axvline(half, color="grey", lw=1, ls="--", label="PSF window")
     axes.set(xscale="log", xlim=_RADII_UM, ylim=(0, 1.02))
-    axes.set(xlabel="radius about the chief ray [um]", title="encircled energy")
+    axes.set(xlabel="radius about the chief ray [um]", title="encircled energy, by rays")
     axes.xaxis.set_major_formatter("{x:g}")
     _finish(axes)
 
@@ -141,19 +139,26 @@ def _draw_mtf_by_focus(axes: Axes, panel: Panel, frequency: float) -> None:
     shifts = depth * torch.linspace(-_DEPTHS[-1], _DEPTHS[-1], _SHIFTS, dtype=torch.float64)
     values = torch.stack(
         [
-            torch.cat(geometric_mtf(_on_plane(rays, shift), view.directions[shown], [frequency]), -1)
+            torch.cat(_mtf(_on_plane(rays, shift), replace(view, fields=view.fields[shown]), [frequency]), -1)
             for shift in (shifts / 1e3).tolist()
         ]
     )  # (shift, field, direction)
-    farthest = float(shifts[values.argmax(0)].abs().max())
+    peaks = shifts[values.argmax(0)][values.amax(0) > 0]  # a field without light has none
+    farthest = float(peaks.abs().max()) if len(peaks) else 0.0
     half = depth * next((d for d in _DEPTHS if d * depth > _BEYOND * farthest), _DEPTHS[-1])
     for k, (name, colour) in enumerate(zip(panel.field_names.values(), FIELD_COLOURS, strict=False)):
         for direction, style in enumerate(("-", "--")):
             label = f"{name} {'TS'[direction]}"
-            axes.plot(shifts, values[:, k, direction], color=colour, lw=1, ls=style, label=label)
-    title = f"geometric MTF at {frequency:.0f} cycles/mm through focus"
+            marker = {"marker": _MARKERS[k], "markevery": 8, "ms": 3}
+            axes.plot(shifts, values[:, k, direction], color=colour, lw=1, ls=style, label=label, **marker)
+    title = f"MTF at {frequency:.0f} cycles/mm through focus"
     axes.set(xlim=(-half, half), ylim=(0, 1.02), xlabel="image plane moved by [um]", title=title)
     _finish(axes)
+
+
+def _mtf(rays: Rays, view: View, frequencies: Sequence[float]) -> tuple[Tensor, Tensor]:
+    """Compute the MTF of all charts, tangential and sagittal: geometric, times the diffraction limit."""
+    return limited_mtf(rays, view.directions, frequencies, view.reference_um)
 
 
 def _on_plane(rays: Rays, shift: float) -> Rays:

@@ -49,16 +49,15 @@ def figure_of(panels: Sequence[Panel]) -> NotebookFigure:
     um = min(panel.view.kernel_size * panel.view.pixel_pitch_um for panel in panels)
     half_um = _round_up(max(_spread_um(panel) for panel in panels))
     panels = [replace(panel, narrowest_mm=mm, narrowest_um=um, half_um=half_um) for panel in panels]
-    whole = NotebookFigure(figsize=(13, 13.4 * len(panels)), layout="constrained")
+    whole = NotebookFigure(figsize=(13, 13.7 * len(panels)), layout="constrained")
     for part, panel in zip(whole.subfigures(len(panels), 1, squeeze=False)[:, 0], panels, strict=True):
         _draw(part, panel)
     return whole
 
 
 def _spread_um(panel: Panel) -> float:
-    """Return the distance from the chief ray within which most rays of the drawn fields arrive [um]."""
-    fields = list(panel.field_names)
-    distance = spot_diagram(panel.rays, panel.centre)[fields].norm(dim=-1)
+    """Return the distance from the chief ray within which most rays of all fields arrive [um]."""
+    distance = spot_diagram(panel.rays, panel.centre).norm(dim=-1)
     distance = distance[distance.isfinite()]
     return 1e3 * float(distance.quantile(_SHOWN)) if len(distance) else panel.shown_um
 
@@ -94,7 +93,7 @@ def _round(part: Figure | SubFigure) -> None:
 
 
 def _draw(part: SubFigure, panel: Panel) -> None:
-    rows = part.subfigures(5, 1, squeeze=False, height_ratios=(4, 1.9, 2.5, 2.5, 2.5))[:, 0]
+    rows = part.subfigures(5, 1, squeeze=False, height_ratios=(4, 2.2, 2.5, 2.5, 2.5))[:, 0]
     for row, functions, widths in zip(
         rows,
         ((draw_section, draw_sharpness), (draw_spots,), (draw_psfs,), (draw_ray_fans, draw_curves), (draw_focus,)),
@@ -138,7 +137,7 @@ def draw_parts(panel: Panel, section: Path, spots: Path, psfs: Path, charts: Pat
     """Write the parts of the figure of a lens as separate files, for a page."""
     parts = (
         (draw_section, section, (5.2, 3.4)),
-        (draw_spots, spots, (13, 2.4)),
+        (draw_spots, spots, (13, 2.6)),
         (draw_psfs, psfs, (13, 3.2)),
         (draw_curves, charts, (9, 3.8)),
     )

@@ -14,12 +14,13 @@ _DECADES = 4.0  # of the logarithmic PSFs
 _ROUND = (
     Line2D([], [], marker="o", mfc="none", mec="black", ms=9, lw=0, label="core: 50 % about the chief ray"),
     Line2D([], [], color="black", ls="--", lw=0.9, label="80 % about the chief ray"),
+    Line2D([], [], marker="o", mfc="none", mec="grey", ms=5, lw=0, label="Airy radius"),
 )
 _LEAST_LABELLED = 5e-4  # smallest share of light that a label mentions
 
 
 def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
-    """Draw the spots of all fields from axis to corner, with circles of 50 % and 80 % of the light."""
+    """Draw the spots of all fields from axis to corner, with circles of 50 % and 80 % of the light, and Airy's."""
     view, figures, half_um = panel.view, panel.figures, panel.shown_um
     points = 1e3 * spot_diagram(panel.rays, panel.centre)[:, :, :_DRAWN]
     order = _by_radius(view)
@@ -33,18 +34,20 @@ def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
             Circle((0, 0), figures["core_radius_um"][field], fill=False, lw=1.2),
             Circle((0, 0), figures["radius_80_um"][field], fill=False, ls="--", lw=0.9),
         )
+        axes.add_patch(Circle((0, 0), figures["airy_radius_um"], fill=False, color="grey", lw=0.8))
         for circle in circles:
             if circle.radius < 1e3 * half_um:  # an infinite circle cannot be drawn
                 axes.add_patch(circle)
         axes.plot(0, 0, "+", color="black", ms=5, lw=0, label="chief ray")
         axes.set(xlim=(-half_um, half_um), ylim=(-half_um, half_um), aspect="equal", xticks=[], yticks=[])
-        axes.set_title(f"{figures['angle_deg'][field]:.2g}°, core {_um(figures['core_radius_um'][field])}", fontsize=8)
+        x_mm, y_mm = view.fields[field].tolist()
+        axes.set_title(f"{figures['angle_deg'][field]:.1f}°\n({x_mm:.2f}, {y_mm:.2f}) mm", fontsize=8)
+        sizes = f"RMS {figures['rms_centroid_um'][field]:.1f} um\ncore {_um(figures['core_radius_um'][field])}"
         lost = 1 - figures["valid_fraction"][field]
-        radius = f"RMS {figures['rms_centroid_um'][field]:.1f} um"
-        axes.set_xlabel(f"{radius}\n{lost:.1%} lost" if lost >= _LEAST_LABELLED else radius, fontsize=8)
+        axes.set_xlabel(f"{sizes}, {lost:.1%} lost" if lost >= _LEAST_LABELLED else sizes, fontsize=8)
     scale_bar(all_axes[-1], "um")
     handles = [*all_axes[-1].get_legend_handles_labels()[0], *_ROUND]
-    part.legend(handles=handles, loc="outside upper center", ncol=6, fontsize=8, frameon=False)
+    part.legend(handles=handles, loc="outside upper center", ncol=7, fontsize=8, frameon=False)
 
 
 def _um(value: float) -> str:
@@ -68,7 +71,7 @@ def draw_psfs(part: SubFigure | Figure, panel: Panel) -> None:
         for axes, image in zip(grid[:, column], (shares.clamp(0, 1).sqrt(), logarithm), strict=True):
             axes.imshow(image.numpy(), origin="lower", extent=(-half, half, -half, half))
             axes.set(xticks=[], yticks=[])
-        grid[0, column].set_title(f"{figures['angle_deg'][field]:.2g}°", fontsize=9)
+        grid[0, column].set_title(f"{figures['angle_deg'][field]:.1f}°", fontsize=9)
         inside = figures["energy_in_window"][field]
         grid[1, column].set_xlabel("all inside" if 1 - inside < _LEAST_LABELLED else f"{inside:.1%} inside", fontsize=8)
     for axes, label in zip(grid[:, 0], ("square root", f"{_DECADES:.0f} decades"), strict=True):
