@@ -10,7 +10,7 @@ from timm.layers import LayerNorm2d
 from torch import Tensor, nn
 
 from tasklens.runtime.devices import half_precision
-from tasklens.runtime.files import damage, read_tensors
+from tasklens.runtime.files import damage_error, read_tensors
 from tasklens.settings.network_settings import RestorationSettings
 
 
@@ -107,5 +107,5 @@ def load(settings: RestorationSettings, path: Path) -> NAFNet:
     try:
         network.load_state_dict(read_tensors(path)[0])
     except RuntimeError as error:  # its first line suffices: the others list tensors
-        raise damage(path, f"not the weights of this network ({str(error).splitlines()[0]})") from None
+        raise damage_error(path, f"not the weights of this network ({str(error).splitlines()[0]})") from None
     return network.eval().requires_grad_(False)

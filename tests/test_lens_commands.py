@@ -183,6 +183,7 @@ def test_lenses_of_one_name_are_told_apart(folder, capsys):
 def test_analyse_lists_the_margins_of_a_design(capsys):
     """Of the lens as in the file; they do not hold once it is refocused."""
     assert "max slope |" in output_of(capsys, "analyse", DOUBLET, *FEW)
+    assert min(json_of(capsys, "analyse", DOUBLET, *FEW)["margins"].values()) >= 0
     assert "max slope" not in output_of(capsys, "analyse", DOUBLET, *FEW, "--focus", 10)
 
 

@@ -152,7 +152,7 @@ def lens(
 
 @explain
 def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
-    """Draw a lens: cross-section with rays, spots, PSFs, ray fans, MTF, field curvature, distortion.
+    """Draw a lens: cross-section with rays, spots, PSFs, ray fans, MTF by field and focus, distortion.
 
     Args:
         title: heading of the figure.

@@ -76,7 +76,7 @@ def compare(read: Callable, files: Files, rays: Rays = 4096, json: AsJson = Fals
 def analyse(
     read: Callable, file: File, rays: Rays = 4096, sensor_fields: SensorFields = False, json: AsJson = False
 ) -> None:
-    """Print all figures of a lens: first-order data, figures by field, aberrations by surface."""
+    """Print all figures of a lens: first-order data, limits of a design, figures by field, aberrations by surface."""
     from tasklens.optics.analysis.datasheet import figures, seidel_by_surface
     from tasklens.show import certificate
 
@@ -85,7 +85,8 @@ def analyse(
     content = {**lens.content, "figures": figures(lens.lens, view, rays)}
     by_surface = seidel_by_surface(lens.lens, view)
     if json:
-        print_json(content["figures"] | {"fields_mm": view.fields.tolist(), "seidel_by_surface_um": by_surface})
+        more = {"fields_mm": view.fields.tolist(), "seidel_by_surface_um": by_surface}
+        print_json(content["figures"] | more | ({"margins": content["margins"]} if "margins" in content else {}))
     else:
         print(certificate.markdown(str(file), view.fields.tolist(), content, by_surface), end="")
 

@@ -67,7 +67,7 @@ def design(
     Args:
         file: the lens, with its view.
         method: one of `methods` that designs by descents.
-        free: free variables by name, with their surfaces, as for `resolved`.
+        free: free variables by name, with their surfaces, as for `free_surfaces`.
         settings: settings of the method that differ from its defaults.
         constraints: limits that differ from those of a study. They are enforced; the others are relaxed to the lens.
         images, classifier: keys of `ImageSettings` and `ClassifierSettings`.

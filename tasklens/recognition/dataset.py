@@ -11,7 +11,7 @@ from torch import Tensor
 from tasklens.recognition import class_folders, folders
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import CPU, send, single_thread
-from tasklens.runtime.files import FileError, damage, map_array, read_json, write_text, writing_array
+from tasklens.runtime.files import FileError, damage_error, map_array, read_json, write_text, writing_array
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.names import SPLITS
 
@@ -158,7 +158,7 @@ def read(images: Path, labels: Path, *, device: torch.device = CPU) -> ImageData
         label_tensor = torch.tensor(content["labels"], dtype=torch.long)
         classes = tuple(content["classes"])
     except (RuntimeError, ValueError, KeyError, TypeError) as error:
-        raise damage(labels, f"no labels of images ({error})") from error
+        raise damage_error(labels, f"no labels of images ({error})") from error
     if len(array) != len(label_tensor):
         raise FileError(f"{labels}: {len(label_tensor)} labels for the {len(array)} images of {images}; remove both")
     return ImageDataset(array, label_tensor, classes, device)

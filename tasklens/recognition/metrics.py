@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.runtime.files import damage, read_table
+from tasklens.runtime.files import damage_error, read_table
 
 _GRADED = ("accuracy", "zero_shot_accuracy", "psnr_db", "worst_psnr_db")  # all at the fields of the grading
 
@@ -35,12 +35,12 @@ def _values(path: Path) -> pandas.Series:
         rows = read_table(path)
         fields, values = pandas.to_numeric(rows["field"]), pandas.to_numeric(rows["value"])
     except (KeyError, ValueError) as error:
-        raise damage(path, f"not a table of metrics ({error})") from None
+        raise damage_error(path, f"not a table of metrics ({error})") from None
     if rows.empty or values.isna().any():
-        raise damage(path, "a value is missing")
+        raise damage_error(path, "a value is missing")
     by_metric = {str(metric): numbers for metric, numbers in fields.dropna().groupby(rows["metric"])}
     graded = max((len(numbers) for metric, numbers in by_metric.items() if metric in _GRADED), default=0)
     for metric, numbers in by_metric.items():
         if sorted(numbers) != list(range(graded if metric in _GRADED else len(numbers))):
-            raise damage(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in sorted(numbers))}")
+            raise damage_error(path, f"{metric} has the fields {', '.join(f'{field:g}' for field in sorted(numbers))}")
     return values.set_axis(pandas.MultiIndex.from_arrays([rows["metric"], fields]))

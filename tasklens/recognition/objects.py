@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.devices import CPU
-from tasklens.runtime.files import FileError, damage, map_array, read_tensors, write_tensors, writing_array
+from tasklens.runtime.files import FileError, damage_error, map_array, read_tensors, write_tensors, writing_array
 
 
 @dataclass(frozen=True)
@@ -96,10 +96,10 @@ def read(images: Path, objects: Path, *, device: torch.device = CPU) -> ObjectDa
             array, tensors["owner"], tensors["labels"], tensors["masks"], tuple(notes["classes"]), device
         )
     except KeyError as error:
-        raise damage(objects, f"no {error.args[0]} of objects") from None
+        raise damage_error(objects, f"no {error.args[0]} of objects") from None
     pixels = array.shape[-1] * array.shape[-2]
     if len(dataset.owner) != len(dataset.labels) or dataset.masks.shape != (len(dataset.labels), pixels // 8):
-        raise damage(objects, "labels, masks and images differ in number or size")
+        raise damage_error(objects, "labels, masks and images differ in number or size")
     if len(dataset.owner) and not 0 <= int(dataset.owner.min()) <= int(dataset.owner.max()) < len(array):
         raise FileError(f"{objects}: objects of images that {images} does not have; remove both")
     return dataset

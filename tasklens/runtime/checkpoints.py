@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from tasklens.runtime.devices import random_state, set_random_state
-from tasklens.runtime.files import FileError, damage, replacing
+from tasklens.runtime.files import FileError, damage_error, replacing
 
 INTERVAL = 60.0  # least time between two writes of the file [s]
 
@@ -38,7 +38,7 @@ class Checkpoint:
             try:
                 self.records = torch.load(path, map_location="cpu", weights_only=True)
             except Exception as error:  # an error of pickle, zipfile or torch
-                raise damage(path, f"not a checkpoint ({error})") from error
+                raise damage_error(path, f"not a checkpoint ({error})") from error
 
     def part(self, name: str, **holders: Any) -> "Part":
         """Return the part of this name; if it was saved, load the states of `holders` and torch's random state.

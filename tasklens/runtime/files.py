@@ -88,9 +88,9 @@ def read_yaml(path: Path) -> Any:
     try:
         content = yaml.load(path.read_text(encoding="utf-8"), getattr(yaml, "CSafeLoader", yaml.SafeLoader))
     except (yaml.YAMLError, ValueError) as error:
-        raise damage(path, str(error).splitlines()[0]) from None
+        raise damage_error(path, str(error).splitlines()[0]) from None
     if not isinstance(content, dict):
-        raise damage(path, "not keys and values")
+        raise damage_error(path, "not keys and values")
     return content
 
 
@@ -110,7 +110,7 @@ def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
 
     text = path.read_text(encoding="utf-8", errors="replace")
     if not text.endswith("\n"):
-        raise damage(path, "cut off")
+        raise damage_error(path, "cut off")
     try:
         table = pandas.read_csv(io.StringIO(text), **options)
         if names := [name for name in _NAMES if name in table]:
@@ -118,7 +118,7 @@ def read_table(path: Path, **options: Any) -> "pandas.DataFrame":
             return table.assign(**texts)
         return table
     except ValueError as error:  # errors of pandas are ValueErrors too
-        raise damage(path, f"not a table ({str(error).splitlines()[0]})") from None
+        raise damage_error(path, f"not a table ({str(error).splitlines()[0]})") from None
 
 
 def read_json(path: Path) -> Any:
@@ -126,10 +126,10 @@ def read_json(path: Path) -> Any:
     try:
         return json.loads(path.read_text(encoding="utf-8"))
     except ValueError as error:
-        raise damage(path, f"not valid JSON ({error})") from None
+        raise damage_error(path, f"not valid JSON ({error})") from None
 
 
-def damage(path: Path, what: str) -> FileError:
+def damage_error(path: Path, what: str) -> FileError:
     """Return the error for a damaged result file; `what` is wrong with it."""
     return FileError(f"{path}: {what}; delete it and run again")
 
@@ -271,7 +271,7 @@ def read_tensors(path: Path) -> tuple[dict[str, "torch.Tensor"], dict[str, Any]]
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
             metadata = json.loads((file.metadata() or {}).get("json", "{}"))
     except (SafetensorError, ValueError) as error:
-        raise damage(path, f"not a complete file of tensors ({error})") from None
+        raise damage_error(path, f"not a complete file of tensors ({error})") from None
     return tensors, metadata
 
 

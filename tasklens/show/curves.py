@@ -149,7 +149,7 @@ def _draw_mtf_by_focus(axes: Axes, panel: Panel, frequency: float) -> None:
     for k, (name, colour) in enumerate(zip(panel.field_names.values(), FIELD_COLOURS, strict=False)):
         for direction, style in enumerate(("-", "--")):
             label = f"{name} {'TS'[direction]}"
-            marker = {"marker": _MARKERS[k], "markevery": 8, "ms": 3}
+            marker: Any = {"marker": _MARKERS[k], "markevery": 8, "ms": 3}
             axes.plot(shifts, values[:, k, direction], color=colour, lw=1, ls=style, label=label, **marker)
     title = f"MTF at {frequency:.0f} cycles/mm through focus"
     axes.set(xlim=(-half, half), ylim=(0, 1.02), xlabel="image plane moved by [um]", title=title)

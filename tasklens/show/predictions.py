@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pandas
 
-from tasklens.runtime.files import FileError, damage, read_table
+from tasklens.runtime.files import FileError, damage_error, read_table
 
 Labelled = pandas.DataFrame | pandas.Series  # with a row per image
 
@@ -21,10 +21,10 @@ def read(path: Path, fields: str = "field") -> pandas.DataFrame:
     try:
         frame = read_table(path, dtype={"label": str}, keep_default_na=False).set_index(["image", "label"])
     except KeyError as error:
-        raise damage(path, f"not a table of predictions ({error})") from error
+        raise damage_error(path, f"not a table of predictions ({error})") from error
     frame = frame.filter(regex=rf"^{fields}\d+$")
     if frame.empty or not frame.isin([0, 1]).all(axis=None):
-        raise damage(path, "expected a row per image, with 0 or 1 for each field")
+        raise damage_error(path, "expected a row per image, with 0 or 1 for each field")
     return frame
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tasklens.runtime.files import damage
+from tasklens.runtime.files import damage_error
 
 KEY = "digest"
 
@@ -20,4 +20,4 @@ def digest(content: Mapping[str, Any]) -> str:
 def check(content: Mapping[str, Any], path: Path) -> None:
     """Raise FileError if the prescription was changed after its figures were computed."""
     if KEY in content and content[KEY] != digest(content):
-        raise damage(path, "its prescription was changed after its figures were computed")
+        raise damage_error(path, "its prescription was changed after its figures were computed")

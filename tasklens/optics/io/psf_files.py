@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
-from tasklens.runtime.files import FileError, damage, read_tensors, write_tensors
+from tasklens.runtime.files import FileError, damage_error, read_tensors, write_tensors
 
 _ROUNDING = 1e-4  # rounding of sums in float32
 _TENSORS = ("psf", "illumination")
@@ -53,11 +53,11 @@ def read(path: Path, fields: str) -> FieldPsfs:
     window = psf.shape[-1] if psf.dim() else 0
     if tuple(psf.shape) != (count, 3, window, window) or window % 2 == 0 or tuple(illumination.shape) != (count,):
         shapes = f"{tuple(psf.shape)} and {tuple(illumination.shape)}"
-        raise damage(path, f"PSFs and illumination of {count} fields have the shapes {shapes}")
+        raise damage_error(path, f"PSFs and illumination of {count} fields have the shapes {shapes}")
     energy = psf.sum((-2, -1))
     if not (torch.isfinite(energy).all() and psf.min() >= 0 and energy.max() <= 1 + _ROUNDING):
-        raise damage(path, "PSFs that are negative, not finite or of more than all the light")
+        raise damage_error(path, "PSFs that are negative, not finite or of more than all the light")
     if not (torch.isfinite(illumination).all() and illumination.min() >= 0):
-        raise damage(path, "an illumination that is negative or not finite")
+        raise damage_error(path, "an illumination that is negative or not finite")
     first, end, turns = sets[fields]
     return FieldPsfs(psf[first:end], illumination[first:end], turns)

@@ -71,12 +71,12 @@ def trace(lens: Lens, rays: Rays, indices: Tensor) -> Rays:
     Returns:
         The rays on the image plane, z = 0.
     """
-    return _trace(lens, rays, indices, record=False)[0]
+    return _trace_surfaces(lens, rays, indices, record=False)[0]
 
 
 def trace_full(lens: Lens, rays: Rays, indices: Tensor) -> tuple[Rays, list[Rays]]:
     """Trace rays as `trace` does; return also the rays behind every surface, z from its vertex, without gradient."""
-    image, traced = _trace(lens, rays, indices, record=True)
+    image, traced = _trace_surfaces(lens, rays, indices, record=True)
     return image, _record(traced)
 
 
@@ -90,7 +90,7 @@ def _record(traced: Traced) -> list[Rays]:
     return states
 
 
-def _trace(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays, Traced]:
+def _trace_surfaces(lens: Lens, rays: Rays, indices: Tensor, record: bool) -> tuple[Rays, Traced]:
     size = numpy.broadcast_shapes(rays.x.shape, (indices.shape[1], 1))  # torch.broadcast_shapes takes 20 times as long
     components = (rays.x, rays.y, rays.z, rays.l, rays.m, rays.n, rays.path)
     start = torch.stack([v if v.shape == size else v.expand(size) for v in components]).to(lens.dtype)
@@ -150,7 +150,7 @@ class Linearised(NamedTuple):
 def linearise(lens: Lens, rays: Rays, indices: Tensor) -> Linearised:
     """Trace rays as `trace_full` does but without a graph, with the derivative along changes of the lens."""
     with torch.no_grad():
-        image, traced = _trace(lens.detached(), rays, indices, record=True)
+        image, traced = _trace_surfaces(lens.detached(), rays, indices, record=True)
 
     def derivative(changes: Mapping[str, Tensor]) -> Derivative:
         along = [changes.get(name) for name in _PARAMETERS]

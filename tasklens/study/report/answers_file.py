@@ -12,7 +12,7 @@ from zipfile import BadZipFile
 import numpy
 import pandas
 
-from tasklens.runtime.files import damage, replacing
+from tasklens.runtime.files import damage_error, replacing
 from tasklens.study.claims import Claims
 from tasklens.study.report.measurements import Measurements
 from tasklens.study.table_contents import LensKey, MeasuredKey
@@ -107,5 +107,5 @@ def read(path: Path) -> tuple[Claims, PackedMeasurements]:
             energy=energy,
         )
     except (OSError, EOFError, BadZipFile, ValueError, KeyError) as error:
-        raise damage(path, f"no packed answers ({error})") from error
+        raise damage_error(path, f"no packed answers ({error})") from error
     return claims, packed

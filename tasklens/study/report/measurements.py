@@ -9,7 +9,7 @@ import pandas
 
 from tasklens.optics.io import lens_digest
 from tasklens.recognition.metrics import accuracy_by_field, mean_metrics
-from tasklens.runtime.files import damage, read_table, read_yaml
+from tasklens.runtime.files import damage_error, read_table, read_yaml
 from tasklens.show import predictions
 from tasklens.study.claims import Claim, Claims
 from tasklens.study.table_contents import LensKey, MeasuredKey, SeededMeasurements
@@ -97,9 +97,9 @@ class Measurements:
         try:
             losses = frame.set_index(["image", "label"]).astype(float)
         except (KeyError, ValueError) as error:
-            raise damage(path, f"no losses of images ({error})") from None
+            raise damage_error(path, f"no losses of images ({error})") from None
         if losses.empty or losses.isna().any(axis=None):
-            raise damage(path, "a loss is missing")
+            raise damage_error(path, "a loss is missing")
         return losses
 
     def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> float:

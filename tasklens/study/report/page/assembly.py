@@ -13,7 +13,7 @@ import pandas
 from plotly.offline import get_plotlyjs
 
 from tasklens.runtime.benchmarks import benchmarks
-from tasklens.runtime.files import FileError, damage, read_json, read_table, read_yaml, write_text
+from tasklens.runtime.files import FileError, damage_error, read_json, read_table, read_yaml, write_text
 from tasklens.show import pictures
 from tasklens.show.headings import STD
 from tasklens.show.optimality import optimum
@@ -98,7 +98,7 @@ def render(
     paths |= {name: path for name, path in optional.items() if path.exists()}
     frames = {name: read_table(path) for name, path in paths.items()}
     if missing := set(settings.elements) - set(frames["psf_tail"]["lens"]):
-        raise damage(files.psf_tail, f"without {', '.join(sorted(missing))}")
+        raise damage_error(files.psf_tail, f"without {', '.join(sorted(missing))}")
     lenses = dict(zip(settings.elements, lens_files.lenses, strict=True))
     table1 = frames.get("table1")
     elements = dict.fromkeys(settings.elements.values())
