@@ -6,8 +6,6 @@ The steps are those of examples/task_driven.py; the program writes growth.webp.
 import sys
 from pathlib import Path
 
-import timm
-import torch
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from PIL import Image
@@ -17,21 +15,18 @@ from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.spots import lit_semi_diameters
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
-from tasklens.recognition import scenes, training
-from tasklens.recognition.dataset import ImageDataset
-from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
 from tasklens.show.cross_section import cross_section
 from tasklens.show.panel import RIM
 
 FOLDER = Path(__file__).parent
-STEPS, EVERY = 300, 5
+EVERY = 6
 sys.path.append(str(FOLDER.parents[1] / "examples"))
 
 
 def frame(lens: Lens, view: View, step: int, loss: float) -> Image.Image:
     """Draw the cross-section of a lens, at the same scale in all frames."""
-    figure = Figure(figsize=(5.6, 4.2), layout="constrained")
+    figure = Figure(figsize=(4.8, 3.6), layout="constrained")
     axes = figure.subplots()
     cross_section(axes, lens.with_clear_apertures(RIM * lit_semi_diameters(lens, view)), view)
     axes.set(xlim=(-0.4, 5.0), ylim=(-2.9, 2.6))
@@ -46,12 +41,7 @@ def main() -> None:
     import task_driven  # the example
 
     plates, view = flat((builtin("COC"), builtin("OKP4")), Spec(), task_driven.LIMITS), view_of_spec(Spec())
-    torch.manual_seed(0)
-    dataset = ImageDataset(*scenes.render(2000, 64, seed=0), scenes.CLASSES)
-    network = timm.create_model("test_resnet", num_classes=len(dataset.classes))
-    training.fit(network, dataset, TrainingSettings(epochs=6, learning_rate=3e-3), 0, "network")
-    network.requires_grad_(False)
-    batches = [dataset.batch(torch.randint(len(dataset), (8,))) for _ in range(STEPS)]
+    network, batches = task_driven.network_and_batches(task_driven.SETTINGS.steps)
     losses, frames = [], []
     for step, (lens, loss) in enumerate(task_driven.descend(plates, view, network, batches)):
         losses.append(loss)
@@ -59,7 +49,7 @@ def main() -> None:
             frames.append(frame(lens, view, step, sum(losses[-EVERY:]) / len(losses[-EVERY:])))
     times = [100] * (len(frames) - 1) + [2000]
     frames[0].save(
-        FOLDER / "growth.webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=60, method=6
+        FOLDER / "growth.webp", save_all=True, append_images=frames[1:], duration=times, loop=0, quality=40, method=6
     )
 
 
