@@ -18,7 +18,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.tensors import explain
+from tasklens.runtime.tensors import explain_errors
 from tasklens.settings.capture_settings import SensorSettings
 from tasklens.settings.specification import Constraints
 
@@ -55,7 +55,7 @@ class Camera(nn.Module):
         >>> loss = cross_entropy(network(camera(images)), labels) + 100 * camera.penalty()
     """
 
-    @explain
+    @explain_errors
     def __init__(
         self,
         lens: Lens,
@@ -128,7 +128,7 @@ class Camera(nn.Module):
         return super()._apply(moved, recurse)
 
     @torch.compiler.disable
-    @explain
+    @explain_errors
     def forward(self, images: Tensor, fields: Sequence[int] | Tensor | None = None) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1], each at one field of the sensor: (B, 3, H, W), of the same type.
 
@@ -146,13 +146,13 @@ class Camera(nn.Module):
         return self._camera(images, view)(images, indices).to(images.dtype)
 
     @torch.compiler.disable
-    @explain
+    @explain_errors
     def all_fields(self, images: Tensor) -> Tensor:
         """Capture images (B, 3, H, W) in [0, 1] at all F fields: (F, B, 3, H, W)."""
         return self._camera(images, self.view).all_fields(images).to(images.dtype)
 
     @torch.compiler.disable
-    @explain
+    @explain_errors
     def penalty(self) -> Tensor:
         """Compute the violation of the lens's limits, as a penalty on a loss: zero for the initial lens.
 

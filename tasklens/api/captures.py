@@ -23,7 +23,7 @@ from tasklens.recognition.user_images import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
-from tasklens.runtime.tensors import as_tensor, explain
+from tasklens.runtime.tensors import as_tensor, explain_errors
 from tasklens.settings.capture_settings import SensorSettings
 from tasklens.show.image_files import write_captures
 
@@ -32,7 +32,7 @@ _DRAWS = 8  # draws of nine fields
 _BLOCK = 64  # photographs in memory
 
 
-@explain
+@explain_errors
 def simulate(
     lens: Lens,
     view: View,
@@ -89,7 +89,7 @@ def simulate(
     return camera.all_fields(source[None], torch.Generator().manual_seed(0))[:, 0]
 
 
-@explain
+@explain_errors
 def simulate_whole_sensor(
     lens: Lens,
     view: View,

@@ -17,7 +17,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.tensors import explain
+from tasklens.runtime.tensors import explain_errors
 from tasklens.settings.lens_settings import TRAINING
 from tasklens.show import between_fields
 from tasklens.show.bootstrap import interval, resampled_means
@@ -25,7 +25,7 @@ from tasklens.show.bootstrap import interval, resampled_means
 _CHOICE = 200  # maximum number of design images used to select the best lens for image quality
 
 
-@explain
+@explain_errors
 def design_lens(
     method: str | None = None,
     elements: Sequence[str] | None = None,

@@ -28,7 +28,7 @@ from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, as_paths, positive
-from tasklens.runtime.tensors import as_tensor, explain
+from tasklens.runtime.tensors import as_tensor, explain_errors
 from tasklens.settings.specification import Spec
 from tasklens.show.figures import figure_of
 from tasklens.show.panel import Panel
@@ -150,7 +150,7 @@ def lens(
     return file.lens, file.view
 
 
-@explain
+@explain_errors
 def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     """Draw a lens: cross-section with rays, spots, PSFs, ray fans, MTF by field and focus, distortion.
 
@@ -167,7 +167,7 @@ def draw(lens: Lens, view: View, title: str = "", rays: int = 4096) -> Figure:
     return figure_of([Panel.compute(title, lens, view, rays)])
 
 
-@explain
+@explain_errors
 def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any] | None = None) -> None:
     """Write a lens as a lens.yaml, or as a Zemax file if the suffix is .zmx; an existing file is replaced.
 
@@ -203,7 +203,7 @@ def describe(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
 
 
 @torch.compiler.disable
-@explain
+@explain_errors
 def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None = None) -> Rays:
     """Trace rays of all F fields and W wavelengths to the image plane; differentiable in the lens.
 
@@ -231,7 +231,7 @@ def trace(lens: Lens, view: View, rays: int | None = None, pupil: Tensor | None 
 
 
 @torch.compiler.disable
-@explain
+@explain_errors
 def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> Tensor:
     """Compute the point spread functions of all F fields and W wavelengths; differentiable in the lens.
 
@@ -253,7 +253,7 @@ def psf(lens: Lens, view: View, rays: int = 4096, diffraction: bool = False) -> 
     return grid
 
 
-@explain
+@explain_errors
 def analyse(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
     """Compute the optical figures of a lens; names end in their unit, lists have one entry per field.
 

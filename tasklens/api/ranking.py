@@ -30,7 +30,7 @@ from tasklens.recognition.sharp import TooFewImages, better_than_guessing
 from tasklens.runtime.devices import CPU
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_path, write_text
-from tasklens.runtime.tensors import explain
+from tasklens.runtime.tensors import explain_errors
 from tasklens.show import between_fields, headings
 from tasklens.show import lens_ranks as report
 from tasklens.show.figures import section_svg
@@ -80,7 +80,7 @@ class Ranking:
         return "".join(f"<p>{escape(sentence)}</p>" for sentence in self.sentences) + table
 
 
-@explain
+@explain_errors
 def rank(
     lenses: Mapping[str, tuple[Lens, View]],
     images: Any,

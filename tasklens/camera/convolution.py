@@ -9,7 +9,7 @@ from scipy.fft import next_fast_len
 from torch import Tensor
 
 from tasklens.runtime.first_derivative import FirstDerivative
-from tasklens.runtime.tensors import explain
+from tasklens.runtime.tensors import explain_errors
 
 _PLANE_BYTES = 2**20  # size of spectra transformed at once on a CPU, so that they stay in its cache
 
@@ -64,7 +64,7 @@ class _Convolution(torch.autograd.Function):
         return captures
 
     @staticmethod
-    @explain
+    @explain_errors
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Compute the gradients with respect to the spectra of images, their mean, and the PSFs."""
 

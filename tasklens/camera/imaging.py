@@ -16,7 +16,7 @@ from torch import Tensor
 from tasklens.camera.convolution import Run, convolve
 from tasklens.runtime.devices import send
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.tensors import as_tensor, explain
+from tasklens.runtime.tensors import as_tensor, explain_errors
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 
 _IMAGES = 16  # images per block on a CPU
@@ -41,7 +41,7 @@ class PsfCamera:
         >>> captures = camera(images, [0, 8])  # images (2, 3, H, W): on the axis, in the corner
     """
 
-    @explain
+    @explain_errors
     def __init__(
         self,
         psf: Tensor,
@@ -83,7 +83,7 @@ class PsfCamera:
         )
 
     @torch.compiler.disable
-    @explain
+    @explain_errors
     def all_fields(
         self, images: Tensor, generator: torch.Generator | None = None, fields: Sequence[int] | None = None
     ) -> Tensor:
@@ -112,7 +112,7 @@ class PsfCamera:
         return self._develop(output, illumination, sample)
 
     @torch.compiler.disable
-    @explain
+    @explain_errors
     def __call__(
         self, images: Tensor, fields: Sequence[int] | Tensor | None = None, sample: Tensor | None = None
     ) -> Tensor:

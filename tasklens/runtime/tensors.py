@@ -27,7 +27,7 @@ _TRANSFORM = (
 )
 
 
-def explain(function: Callable[_P, _R]) -> Callable[_P, _R]:
+def explain_errors(function: Callable[_P, _R]) -> Callable[_P, _R]:
     """Replace an error of torch by an InputError if its reason is a kind of tensors that the function cannot take.
 
     It adds a call between the function and its caller, which `stacklevel` of warnings counts.

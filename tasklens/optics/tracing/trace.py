@@ -12,7 +12,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.tracing.traced import Inputs, Traced
 from tasklens.runtime.first_derivative import FirstDerivative
-from tasklens.runtime.tensors import explain
+from tasklens.runtime.tensors import explain_errors
 
 _OUTPUTS = (0, 1, 3, 4, 5, 6)  # rows of the image without z, which is zero
 _PARAMETERS = ("curvature", "conic", "thickness", "alpha")  # in the order of `Inputs`
@@ -42,7 +42,7 @@ class _Trace(torch.autograd.Function):
         ctx.set_materialize_grads(False)
 
     @staticmethod
-    @explain
+    @explain_errors
     def backward(ctx, *gradients):
         def reverse(*arguments):
             return ctx.notes.traced.reverse(arguments[: len(gradients)], _OUTPUTS, ctx.needs_input_grad[1:])
