@@ -11,6 +11,7 @@ from torch.nn.functional import cross_entropy
 
 import tasklens
 from tasklens.camera.imaging import PsfCamera
+from tasklens.design.descent import geometric
 from tasklens.design.optimizers import RaySpaceOptimizer
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
@@ -41,7 +42,7 @@ def descend(start, view, network, batches, settings=SETTINGS, rays=128):
     optimizer = RaySpaceOptimizer(start, Problem(view, LIMITS, 0), settings)
     for step, (images, labels) in enumerate(batches):
         fraction = step / settings.steps
-        pixels = last * (first / last) ** max(0.0, 1 - fraction / settings.duration)
+        pixels = last * geometric(first / last, fraction / settings.duration)
         vector = optimizer.vector()  # curvatures, thicknesses, coefficients
         lens = optimizer.lens(vector)
         drawn = view.at(drawn_points(1, seed=step))  # new fields in each step: no lens is fitted to a few

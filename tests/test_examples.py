@@ -31,6 +31,7 @@ def example(name: str):
     return module
 
 
+@pytest.mark.slow
 def test_the_task_driven_example_takes_the_steps_of_a_descent(monkeypatch):
     """The same losses in six steps from flat plates, through the same rays."""
     network, posed, seed = tiny_network().eval().requires_grad_(False), problem(), -1  # the example counts from 0

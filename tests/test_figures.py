@@ -71,7 +71,7 @@ def test_the_spots_say_what_each_colour_and_circle_is(panel):
         assert radii == sorted([*circles, panel.figures["airy_radius_um"]])
 
 
-def test_curves_against_field_and_focus(panel, sharp):
+def test_curves_against_field_and_focus(sharp):
     """MTFs keep below the diffraction limit; the RMS spot ends at that of the corner; a peak out of focus is shown."""
     mtf = draw(curves.draw_curves, sharp).axes[0]
     *lines, limit = (line.get_ydata() for line in mtf.get_lines())

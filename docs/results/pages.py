@@ -77,8 +77,7 @@ def ablation(name: str, folders: Folders) -> pandas.DataFrame:
 
 def steps(column: str, folders: Folders) -> pandas.DataFrame:
     """Return a column of the decomposition, with a column for each study and number of elements."""
-    rows = pandas.read_csv(FOLDER / "decomposition.csv")
-    rows = rows[rows["classifier"] == rows.groupby("study")["classifier"].transform("first")]
+    rows = _decomposition()
     rows = rows[rows["study"].isin([*folders]) & ((rows["fields"] == "all fields") != (column == "inside"))]
     rows = rows.drop_duplicates(["study", "elements", "step"])  # the task is compared with least squares, too
     rows = rows.assign(heading=rows["study"].map(folders), row=rows["step"])
@@ -93,8 +92,7 @@ def steps(column: str, folders: Folders) -> pandas.DataFrame:
 
 def answer(elements: str, folders: Folders) -> pandas.DataFrame:
     """Return a row for each folder: accuracies of least squares, image quality and a frozen network; gains."""
-    rows = pandas.read_csv(FOLDER / "decomposition.csv")
-    rows = rows[rows["classifier"] == rows.groupby("study")["classifier"].transform("first")]
+    rows = _decomposition()
     rows = rows[(rows["elements"] == elements) & (rows["fields"] == "all fields")]
     gains = rows[rows["compared_with"] == "best lens for image quality"].set_index(["study", "step"])
     first = rows[rows["step"] == "least squares"].set_index("study")
@@ -112,6 +110,12 @@ def answer(elements: str, folders: Folders) -> pandas.DataFrame:
             cells[column] = _interval(gains.loc[key]) if key in gains.index else ""
         table[heading] = cells
     return pandas.DataFrame(table).T.rename_axis("lenses designed for").rename_axis(columns=None)
+
+
+def _decomposition() -> pandas.DataFrame:
+    """Return the rows of decomposition.csv for the network that supervised the designs."""
+    rows = pandas.read_csv(FOLDER / "decomposition.csv")
+    return rows[rows["classifier"] == rows.groupby("study")["classifier"].transform("first")]
 
 
 def _read(folders: Folders, read: Callable[[Path], pandas.DataFrame]) -> pandas.DataFrame:

@@ -132,7 +132,7 @@ def _draw_encircled_energy(axes: Axes, panel: Panel) -> None:
 
 
 def _draw_mtf_by_focus(axes: Axes, panel: Panel, frequency: float) -> None:
-    """Draw the geometric MTF at one frequency against the shift of the image plane, as far as all its peaks."""
+    """Draw the MTF at one frequency against the shift of the image plane, as far as all its peaks."""
     view, shown = panel.view, list(panel.field_names)
     rays = replace(panel.rays, **{name: value[shown] for name, value in vars(panel.rays).items()})
     depth = view.pixel_pitch_um * min(abs(panel.figures["f_number"]), _SLOWEST)
