@@ -47,13 +47,13 @@ def test_examples_run(page, number, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_commands_of_the_tutorial_run(tmp_path, monkeypatch):
+def test_commands_of_the_tutorial_run(tmp_path, monkeypatch, few_rays):
     """In a folder with the test photographs and the published lenses; the search for a lens is brief."""
     monkeypatch.chdir(tmp_path)
     for name in ("docs", "tests"):
         (tmp_path / name).symlink_to(ROOT / name)
     for line in "".join(blocks(ROOT / "docs/tutorial.md", "bash")).splitlines():
-        brief = "--set evaluations=300 --set starts=6" if line.startswith("tasklens design") else ""
+        brief = "--set evaluations=100 --set starts=3" if line.startswith("tasklens design") else ""
         assert main([*line.split()[1:], *brief.split()]) == 0, line
     for name in ("doublet.png", "capture.png", "both.png", "doublet.zmx", "mine.yaml"):
         assert (tmp_path / name).stat().st_size > 1000, name
@@ -75,7 +75,7 @@ QUICK = {  # options that make a command quick, by the beginning of the command
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_commands_of_the_how_to_run(tmp_path, monkeypatch):
+def test_commands_of_the_how_to_run(tmp_path, monkeypatch, few_rays):
     """Commands for the user's own lens: a Cooke triplet, few steps, and a network that tells dark from bright."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(yields, "_RAYS", 32)

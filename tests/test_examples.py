@@ -67,7 +67,17 @@ LAST = {  # file that the last cell writes
     "own_network": "own_network.html",
     "trace_and_differentiate": "triplet.zmx",
 }
-BRIEF = {"own_network": [("lambda sharp: sharp, 400,", "lambda sharp: sharp, 120,"), ('"steps": 150', '"steps": 30')]}
+BRIEF = {  # what is shortened, by notebook: a network that recognises something is enough
+    "which_lens": [("render(1500, ", "render(600, "), ("render(200, ", "render(80, ")],
+    "own_network": [
+        ("lambda sharp: sharp, 400,", "lambda sharp: sharp, 120,"),
+        ("unseen, answers = textures(300,", "unseen, answers = textures(100,"),
+        ('"evaluations": 1500, "starts": 4', '"evaluations": 150, "starts": 2'),
+        ("fixed, 60,", "fixed, 5,"),
+        ("camera, 60,", "camera, 5,"),
+        ('"steps": 150', '"steps": 5'),
+    ],
+}
 
 
 def cells(notebook: Path) -> list[str]:
