@@ -67,43 +67,30 @@ class _Convolution(torch.autograd.Function):
     @explain_errors
     def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor | None, ...]:
         """Compute the gradients with respect to the spectra of images, their mean, and the PSFs."""
-
         runs, shape, kernels = ctx.arguments
 
         def gradients(gradient: Tensor, images: Tensor, psf: Tensor) -> tuple[Tensor | None, ...]:
-            return _Convolution._gradients(gradient, images, psf, runs, shape, kernels, ctx.needs_input_grad[0])
+            at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
+            at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
+            conjugate = images.conj().resolve_conj()
+            padded = torch.zeros_like(images[_colours(images)[0]])
+            window = padded[_window(psf, shape)]
+            for field, colours, blocks in _schedule(runs, images):
+                total = torch.zeros_like(padded[:, 0])
+                for source, target in blocks:
+                    upstream = gradient[target, :, colours].transpose(0, 2)
+                    count = upstream.shape[2]
+                    torch.complex(upstream[:, 0], upstream[:, 1], out=window[:, :count])
+                    product = torch.fft.fft2(padded[:, :count])
+                    if at_images is not None:
+                        at_images[colours, source].addcmul_(product, kernels[field, colours, None].conj())
+                        at_mean[colours, source] += product[..., 0, 0]
+                    for planes in zip(product.unbind(1), conjugate[colours, source].unbind(1), strict=True):
+                        total.addcmul_(*planes)
+                at_psf[field, colours] += torch.fft.ifft2(total).real[..., : psf.shape[-2], : psf.shape[-1]]
+            return at_images, at_mean, at_psf
 
         return *FirstDerivative.apply(gradients, gradient, *ctx.saved_tensors), None, None, None
-
-    @staticmethod
-    def _gradients(
-        gradient: Tensor,
-        images: Tensor,
-        psf: Tensor,
-        runs: list[Run],
-        shape: tuple[int, int],
-        kernels: Tensor,
-        needs_images: bool,
-    ) -> tuple[Tensor | None, ...]:
-        at_images = torch.zeros_like(images) if needs_images else None
-        at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
-        conjugate = images.conj().resolve_conj()
-        padded = torch.zeros_like(images[_colours(images)[0]])
-        window = padded[_window(psf, shape)]
-        for field, colours, blocks in _schedule(runs, images):
-            total = torch.zeros_like(padded[:, 0])
-            for source, target in blocks:
-                upstream = gradient[target, :, colours].transpose(0, 2)
-                count = upstream.shape[2]
-                torch.complex(upstream[:, 0], upstream[:, 1], out=window[:, :count])
-                product = torch.fft.fft2(padded[:, :count])
-                if at_images is not None:
-                    at_images[colours, source].addcmul_(product, kernels[field, colours, None].conj())
-                    at_mean[colours, source] += product[..., 0, 0]
-                for planes in zip(product.unbind(1), conjugate[colours, source].unbind(1), strict=True):
-                    total.addcmul_(*planes)
-            at_psf[field, colours] += torch.fft.ifft2(total).real[..., : psf.shape[-2], : psf.shape[-1]]
-        return at_images, at_mean, at_psf
 
 
 def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[Any, ...]:

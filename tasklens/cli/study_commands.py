@@ -104,23 +104,31 @@ def new(
     )
     own_network.check()
     minutes = answers.of("minutes", "Time to spend [minutes]", 30.0)
-    largest, seconds = new_study.fit(request, minutes, cores)
-    new_study.check(request, largest)
-    for cut in new_study.CUTS[new_study.CUTS.index(largest) :]:
-        with TemporaryDirectory() as place:
-            trial = Path(place, path.name)
-            write_text(trial, new_study.text(request, cut, seconds, cores, path))
-            study = loading.load(trial)
-            remaining = planning.plan([trial], "tables").get(study.name, {})
-        seconds = planning.seconds(remaining, durations_of(study))[0] / cores  # as in Snakemake and `study plan`
+    new_study.check(request)
+    for cut in new_study.CUTS:
+        seconds = _seconds(request, cut, path) / cores
         if seconds <= 60 * minutes:
             break
     else:
-        raise new_study.too_long(minutes, seconds, cores)
-    write_text(path, new_study.text(request, cut, seconds, cores, path))
-    print(f"{path}: {cut.words}, about {duration(seconds)} on {cores} cores")
+        raise InputError(
+            f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(seconds)} on {cores} cores; "
+            "allow more time, or choose fewer elements, networks or seeds"
+        )
+    forecast = f"about {duration(seconds)} on {cores} cores" if seconds else "of unknown duration"
+    write_text(path, new_study.text(request, cut, forecast, cores, path))
+    print(f"{path}: {cut.words}, {forecast}")
     snakefile = "" if Path("Snakefile").is_file() else f" -s {SNAKEFILE}"
     print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables{snakefile} --configfile {path}")
+
+
+def _seconds(request: new_study.StudyRequest, cut: new_study.Cut, path: Path) -> float:
+    """Forecast the duration on one core [s], as Snakemake and `study plan` do; 0 if no study like it was measured."""
+    with TemporaryDirectory() as place:
+        trial = Path(place, path.name)
+        write_text(trial, new_study.text(request, cut, "", 1, path))
+        study = loading.load(trial)
+        remaining = planning.plan([trial], "tables").get(study.name, {})
+    return cut.fraction * planning.seconds(remaining, durations_of(study))[0]
 
 
 def _prompt(question: str, default: Any) -> Any:

@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from pydantic import ValidationError
-
 from tasklens.design import chain
 from tasklens.design.chain import Designs
 from tasklens.design.constraints import BUFFER, buffer_scale, limit_margins
@@ -23,30 +21,17 @@ from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.lens_settings import lens_settings
-from tasklens.settings.messages import in_words, problems
+from tasklens.settings.messages import validated
 from tasklens.settings.specification import Constraints, Spec
 
 _F_NUMBER = 1e-2  # relative change of the F-number that is mentioned
 _WIDEST = 150  # degrees, as in `Spec`
 _TOUCHING = 1e-6  # mm; surfaces in contact do not cross
-_LENGTHS = (  # limits that are lengths
-    "min_centre_thickness",
-    "max_centre_thickness",
-    "min_edge_thickness",
-    "min_air_gap",
-    "min_back_focus",
-    "max_track",
+_NO_LENGTHS = ("max_slope", "max_chief_ray_angle_deg")
+_LENGTHS = tuple(  # limits that are lengths
+    name for name in Constraints.model_fields if name.startswith(("min_", "max_")) and name not in _NO_LENGTHS
 )
-_SPOT = {
-    "descents": [
-        {
-            "steps": 500,
-            "step_size": 0.3,
-            "momentum": 0.95,
-            "criterion": "spot",
-        }
-    ]
-}
+_SPOT = {"descents": [{"steps": 500, "step_size": 0.3, "momentum": 0.95, "criterion": "spot"}]}
 
 
 def design(
@@ -135,10 +120,7 @@ def _constraints(method: str, settings: Mapping[str, Any], constraints: Mapping[
         if key in settings:
             advice = "give it as `free` (--free)" if key == "free" else "omit it"
             raise InputError(f"{key}: no setting with the lens of `start`; {advice}")
-    try:
-        given = Constraints.model_validate(constraints)
-    except ValidationError as error:
-        raise InputError(in_words("constraints", error, Constraints)) from None
+    given = validated(Constraints, constraints, "constraints")
     if unused := {"stop_distance", "flat_track"} & set(constraints):
         raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
     return given
@@ -251,8 +233,5 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         raise InputError(
             "the lens has no field except the axis: give its full field of view in degrees, --field-of-view"
         )
-    try:
-        spec = Spec.model_validate(values)
-    except ValidationError as error:
-        raise InputError("; ".join(problems(error, Spec))) from None
+    spec = validated(Spec, values)
     return spec, replace(view_of_spec(spec), efl=spec.efl_mm)

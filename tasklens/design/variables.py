@@ -36,16 +36,9 @@ class Variables:
     f_number: tuple[float, float] | None = None
 
     @classmethod
-    def plain(cls, lens: Lens) -> "Variables":
-        """Return variables without normalisation, R = 1 mm."""
-        return cls(lens, torch.ones_like(lens.curvature))
-
-    @classmethod
-    def for_learning_rates(cls, lens: Lens, view: View, rates: LearningRates) -> "Variables":
-        """Return variables normalised if `rates` are."""
-        if rates.normalised:
-            return cls.normalised(lens, view)
-        return cls(lens, torch.ones_like(lens.curvature), _f_number(lens, view))
+    def plain(cls, lens: Lens, view: View | None = None) -> "Variables":
+        """Return variables without normalisation, R = 1 mm; with a view, a stop inside the lens keeps its F-number."""
+        return cls(lens, torch.ones_like(lens.curvature), None if view is None else _f_number(lens, view))
 
     @classmethod
     def normalised(cls, lens: Lens, view: View) -> "Variables":
@@ -116,9 +109,7 @@ class Variables:
         if self.f_number is None:
             return lens
         value, wavelength = self.f_number
-        semi_diameter = lens.semi_diameter.clone()
-        semi_diameter[lens.stop] = stop_radius(lens.detached(), ("f_number", value), wavelength)
-        return replace(lens, semi_diameter=semi_diameter)
+        return lens.with_stop_radius(stop_radius(lens.detached(), ("f_number", value), wavelength))
 
 
 def with_coefficients(lens: Lens) -> Lens:

@@ -153,8 +153,14 @@ class Lens:
         shift, spread = (torch.cat([v.new_zeros(1), v])[:, None] for v in (self.melt.shift, self.melt.spread))
         return indices + shift + spread * (indices - at_reference)
 
+    def with_stop_radius(self, radius: float) -> "Lens":
+        """Return the lens with another radius of its stop [mm]."""
+        semi_diameter = self.semi_diameter.clone()
+        semi_diameter[self.stop] = radius
+        return replace(self, semi_diameter=semi_diameter)
+
     def with_stop_scaled(self, scale: float) -> "Lens":
-        """Return the lens with the radius of its stop multiplied by `scale`."""
+        """Return the lens with the radius of its stop multiplied by `scale`, differentiable in the radius."""
         factor = torch.ones_like(self.semi_diameter)
         factor[self.stop] = scale
         return replace(self, semi_diameter=self.semi_diameter * factor)

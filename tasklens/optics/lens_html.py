@@ -1,5 +1,6 @@
 """A lens as HTML, for notebooks: its cross-section and its prescription."""
 
+import html as markup
 import math
 from collections.abc import Sequence
 
@@ -31,7 +32,7 @@ def html(surfaces: Sequence[Surface], thickness: Tensor, media: Sequence[Materia
             str(i),
             f"{1 / float(surface.curvature):.5g}" if surface.curvature else "plane",
             f"{float(thickness[i]):.5g}",
-            short_name(medium) if medium != AIR else "",
+            markup.escape(short_name(medium)) if medium != AIR else "",
             f"{float(surface.conic):.4g}" if surface.conic else "",
             f"{float(surface.semi_diameter):.4g}" if math.isfinite(surface.semi_diameter) else "",
             ", ".join(["stop"] * (i == stop) + ["asphere"] * bool(torch.as_tensor(surface.alpha).any())),

@@ -37,9 +37,21 @@ class CapturePipeline:
 
     @classmethod
     def of(
-        cls, capture: CaptureSettings, psf: Path, fields: str, device: torch.device, network: nn.Module | None = None
+        cls,
+        capture: CaptureSettings | None,
+        psf: Path | None,
+        fields: str,
+        device: torch.device,
+        network: nn.Module | None = None,
     ) -> "CapturePipeline":
-        """Build the pipeline of a lens from its stored PSFs at a set of fields, and a restoration `network`."""
+        """Build the pipeline of a lens from its stored PSFs at a set of fields, and a restoration `network`.
+
+        Args:
+            capture: settings of captures; None for sharp images.
+        """
+        if capture is None:
+            return cls(None, network)
+        assert psf is not None  # captures need the PSFs of a lens
         grid, light, turns = psf_files.read(psf, fields)
         return cls(PsfCamera.of(capture, grid.to(device), light.to(device)), network, turns)
 

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, TypeAdapter, model_validator
 
 from tasklens.fields import GRADING_CENTRES
 from tasklens.materials.library import Library
@@ -20,7 +20,7 @@ from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.layers import check_plain, merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import LensDesign, LensEntry
-from tasklens.settings.messages import problems
+from tasklens.settings.messages import validated
 from tasklens.settings.network_settings import ClassifierSettings
 from tasklens.settings.quantities import Name
 from tasklens.settings.specification import Constraints, Spec
@@ -164,10 +164,8 @@ def lens_settings(
 
 def _validate(content: Mapping[str, Any]) -> LensSettings:
     try:
-        settings = LensSettings.model_validate(content)
+        settings = validated(LensSettings, content)
         check_plain({key: content[key] for key in ("spec", "constraints", "designs")}, "")
-    except ValidationError as error:
-        raise InputError("; ".join(problems(error, LensSettings))) from None
     except ValueError as error:
         raise InputError(str(error)) from None
     return settings

@@ -4,11 +4,14 @@ import difflib
 import re
 from collections.abc import Iterable, Mapping
 from types import UnionType
-from typing import Annotated, Any, Literal, Union, get_args, get_origin
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 from pydantic_core import ErrorDetails
 
+from tasklens.runtime.errors import InputError
+
+_Model = TypeVar("_Model", bound=BaseModel)
 _LONGEST = 60  # characters of a value in a message
 _KINDS = {  # expected values, by pydantic's types of errors
     "int_type": "a whole number",
@@ -47,6 +50,15 @@ def in_words(where: str, error: ValidationError, settings: Any) -> str:
     return "; ".join(f"{where}.{line}" for line in problems(error, settings))
 
 
+def validated(settings: type[_Model], values: Any, where: str = "") -> _Model:
+    """Return settings from values; raises InputError with all mistakes in one line, keys with the prefix `where`."""
+    try:
+        return settings.model_validate(values)
+    except ValidationError as error:
+        lines = "; ".join(problems(error, settings))
+        raise InputError(in_words(where, error, settings) if where else lines) from None
+
+
 def missing_keys(error: ValidationError) -> list[str]:
     """Return the missing keys at the top level."""
     return [str(item["loc"][0]) for item in error.errors() if item["type"] == "missing" and len(item["loc"]) == 1]
@@ -59,7 +71,7 @@ def _inner(place: tuple, places: Iterable[tuple]) -> bool:
 
 def _line(item: ErrorDetails, settings: Any) -> str:
     keys, place = _walk(settings, item["loc"])
-    kind, context, value = item["type"], item.get("ctx", {}), item["input"]
+    kind, value = item["type"], item["input"]
     if kind == "missing":
         if isinstance(item["loc"][-1], int):
             return f"{'.'.join(keys[:-1])}: entry {item['loc'][-1] + 1} is missing"
@@ -69,12 +81,6 @@ def _line(item: ErrorDetails, settings: Any) -> str:
     if kind == "extra_forbidden":
         advice = _REMOVED.get(keys[-1]) or f"unknown key{suggestion(keys[-1], place)}"
         return f"{'.'.join(keys)}{_assignment(value)}: {advice}"
-    if kind in ("union_tag_not_found", "union_tag_invalid"):
-        key = context["discriminator"].strip("'")
-        where = ".".join([*keys, key])
-        if kind == "union_tag_not_found":
-            return f"{where}: missing; expected one of {', '.join(sorted(place))}"
-        return f"{where} = {context['tag']!r}: unknown{suggestion(context['tag'], place)}"
     message = _expectation(item)
     if re.split("[.:]", message)[0] in (place if keys else _fields(settings)):  # the message names a key itself
         return message
@@ -117,9 +123,8 @@ def _walk(settings: Any, location: Iterable[str | int]) -> tuple[list[str], Mapp
     """Follow pydantic's location of a mistake.
 
     Returns:
-        The keys in the user's file, without the tags of unions that a location also holds; and the choices at this
-        place: by key, the fields of the settings that the last key belongs to, or the tags of a union whose tag is
-        wrong or missing.
+        The keys in the user's file, without the tags of unions that a location also holds; and by key the fields of
+        the settings that the last key belongs to.
     """
     keys: list[str] = []
     annotation = settings
@@ -134,7 +139,7 @@ def _walk(settings: Any, location: Iterable[str | int]) -> tuple[list[str], Mapp
         keys.append(str(part))
         place = _fields(annotation)
         annotation = place[str(part)].annotation if part in place else _inside(annotation)
-    return keys, _members_by_method(annotation) or place
+    return keys, place
 
 
 def _plain(annotation: Any) -> Any:

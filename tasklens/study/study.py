@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_args
 
-from pydantic import Field, ValidationError, ValidationInfo, field_serializer, field_validator
+from pydantic import Field, ValidationInfo, field_serializer, field_validator
 
 from tasklens.materials.library import Library
 from tasklens.materials.material import Material, from_definitions
@@ -19,7 +19,7 @@ from tasklens.settings.field_settings import FieldSettings, Points, points
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
-from tasklens.settings.messages import in_words
+from tasklens.settings.messages import validated
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings
 from tasklens.settings.quantities import Name, Rays, Seed, StudyName
 from tasklens.settings.specification import Constraints, Spec
@@ -229,8 +229,5 @@ def pick(entries: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
 
 
 def _change(spec: Spec, changes: Mapping[str, Any], where: str) -> Spec:
-    """Return a specification with changed keys, which the user's file has at `where`; raises ValueError."""
-    try:
-        return Spec.model_validate(spec.model_dump(exclude_computed_fields=True) | dict(changes))
-    except ValidationError as error:
-        raise ValueError(in_words(where, error, Spec)) from None
+    """Return a specification with changed keys, which the user's file has at `where`; raises InputError."""
+    return validated(Spec, spec.model_dump(exclude_computed_fields=True) | dict(changes), where)

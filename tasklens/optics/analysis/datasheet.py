@@ -22,7 +22,7 @@ from tasklens.optics.analysis.spots import (
 )
 from tasklens.optics.analysis.wavefront import path_differences, rms_wavefront_error
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import passing
+from tasklens.optics.rays import Rays, passing
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, number, positive
@@ -116,7 +116,8 @@ def figures(lens: Lens, view: View, rays: int) -> dict:
 
 def means(lens: Lens, view: View, rays: int) -> dict[str, float]:
     """Compute means over the fields: RMS about the centroid and core radius [um], and energy inside the window."""
-    by_field = _spots(lens.detached(), view, rays)
+    lens = lens.detached()
+    by_field = _spots(lens, view, trace_fields(lens, view, sobol_disc(rays, seed=0)))
     names = {
         "rms_spot_um": "rms_centroid_um",
         "core_radius_um": "core_radius_um",
@@ -161,9 +162,9 @@ def _nyquist(view: View) -> float:
     return 1e3 / (2 * view.pixel_pitch_um)
 
 
-def _spots(lens: Lens, view: View, rays: int) -> dict[str, torch.Tensor]:
-    """Compute the figures of the spots of each field (F,)."""
-    traced, lost = trace_fields(lens, view, sobol_disc(rays, seed=0)), ~chief_rays(lens, view).valid[:, 0, 0]
+def _spots(lens: Lens, view: View, traced: Rays) -> dict[str, torch.Tensor]:
+    """Compute the figures of the spots of each field (F,) from rays on the image plane."""
+    lost = ~chief_rays(lens, view).valid[:, 0, 0]
     chief = chief_points(lens, view)  # where windows are, also if apertures stop the ray
     offset = ((traced.x - chief[:, 0, None, None]).abs(), (traced.y - chief[:, 1, None, None]).abs())
     inside = traced.valid & (torch.maximum(*offset) < view.kernel_size * view.pixel_pitch_um / 2e3)
@@ -182,7 +183,8 @@ def _spots(lens: Lens, view: View, rays: int) -> dict[str, torch.Tensor]:
 
 def _by_field(lens: Lens, view: View, rays: int) -> dict:
     pupil = sobol_disc(rays, seed=0)
-    traced, spots = trace_fields(lens, view, pupil), _spots(lens, view, rays)
+    traced = trace_fields(lens, view, pupil)
+    spots = _spots(lens, view, traced)
     quarter_and_half = (_nyquist(view) / 4, _nyquist(view) / 2)
     mtf_tangential, mtf_sagittal = geometric_mtf(traced, view.directions, quarter_and_half)
     focus_tangential, focus_sagittal = field_curvature(lens, view)

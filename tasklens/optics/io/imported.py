@@ -49,7 +49,7 @@ def fit(settings: ImportedLens, view: View, f_number: float) -> tuple[Lens, dict
     scale = 1.0 if same_size else view.efl / efl
     lens = source.lens.scaled(scale)
     if not math.isclose(f_number, own_f_number, rel_tol=_SAME):
-        lens.semi_diameter[lens.stop] = stop_radius(lens, ("f_number", f_number), view.reference_um)
+        lens = lens.with_stop_radius(stop_radius(lens, ("f_number", f_number), view.reference_um))
     _check_light(lens, view, f_number, name)
     same_object = math.isclose(source.object_distance_mm, view.object_distance, rel_tol=_SAME)
     return lens, {

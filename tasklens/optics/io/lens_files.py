@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from pydantic import ValidationError
 from torch import Tensor
 
 from tasklens.optics.analysis.datasheet import view_of
@@ -24,7 +23,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, positive
-from tasklens.settings.messages import problems
+from tasklens.settings.messages import validated
 from tasklens.settings.specification import Spec
 
 _AFOCAL = 100.0  # mm; focal length of the pinhole camera whose image points are the fields of an afocal lens
@@ -64,12 +63,8 @@ def read(
     object_distance_mm: float | None = None,
     configuration: int | None = None,
     wavelengths_um: Sequence[float | str] | None = None,
-    *,
-    field_of_view_deg: float | None = None,
-    f_number: float | None = None,
-    pixel_pitch_um: float | None = None,
-    kernel_size: int | None = None,
     focus: str | float | None = None,
+    **changes: Any,
 ) -> LensFile:
     """Read a lens with its specification.
 
@@ -83,8 +78,9 @@ def read(
         object_distance_mm: distance of the object in front of the first vertex [mm], or infinity; None: as in the file.
         configuration: of a .zmx file with several; None: the one in which it was saved.
         wavelengths_um: wavelengths that replace those of the file; the middle one is the reference [um].
-        field_of_view_deg, f_number, pixel_pitch_um, kernel_size: values of `Spec` that replace those of the file.
         focus: place of the image plane, as in `focus.place_image_plane`.
+        changes: values of `Spec` that replace those of the file: `field_of_view_deg`, `f_number`, `pixel_pitch_um`,
+            `kernel_size`; None for that of the file.
 
     Raises:
         InputError: an object distance that is not positive.
@@ -100,14 +96,7 @@ def read(
     source, content = read_prescription(path, catalogues, configuration)
     try:
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
-        changes = _validate(
-            {
-                "field_of_view_deg": field_of_view_deg,
-                "f_number": f_number,
-                "pixel_pitch_um": pixel_pitch_um,
-                "kernel_size": kernel_size,
-            }
-        )
+        changes = _validate(changes)
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
         if changes or wavelengths or object_distance_mm is not None or focus is not None:
             content = without_figures(content)
@@ -133,10 +122,7 @@ def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
 def _validate(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of `Spec` that are not None, converted to numbers; raises InputError."""
     changes = {key: value for key, value in changes.items() if value is not None}
-    try:
-        spec = Spec.model_validate(changes)
-    except ValidationError as error:
-        raise InputError("; ".join(problems(error, Spec))) from None
+    spec = validated(Spec, changes)
     return {key: getattr(spec, key) for key in changes}
 
 
@@ -225,9 +211,7 @@ def _change(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, V
         kernel_size=changes.get("kernel_size", view.kernel_size),
     )
     if "f_number" in changes:
-        radius = stop_radius(lens, ("f_number", changes["f_number"]), view.reference_um)
-        at_stop = torch.arange(len(lens.media)) == lens.stop
-        lens = replace(lens, semi_diameter=torch.where(at_stop, radius, lens.semi_diameter))
+        lens = lens.with_stop_radius(stop_radius(lens, ("f_number", changes["f_number"]), view.reference_um))
     check_speed(lens, view)
     return lens, view
 

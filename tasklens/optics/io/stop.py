@@ -1,7 +1,6 @@
 """The stop of a lens that is read: its radius from the aperture of the file, and checks of both."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 from tasklens.optics.analysis.object_points import image_scale
@@ -24,9 +23,7 @@ def stop_radius(lens: Lens, aperture: tuple[str, float], wavelength: float) -> f
     The radius is D / (2 r), with r the radius of the entrance pupil of a stop of radius 1. An image-space F-number is
     EFL / D.
     """
-    semi_diameter = lens.semi_diameter.clone()
-    semi_diameter[lens.stop] = 1.0
-    first_order = paraxial(replace(lens, semi_diameter=semi_diameter), wavelength)
+    first_order = paraxial(lens.with_stop_radius(1.0), wavelength)
     kind, value = aperture
     diameter = abs(float(first_order.efl)) / value if kind == "f_number" else value
     return float(diameter / (2 * first_order.entrance_pupil_radius.double()))

@@ -63,8 +63,7 @@ def prescription_of(
             f"surface {lens.stop}: expected either the `semi_diameter` of the stop or an F-number, not both"
         )
     aperture = ("f_number", positive(f_number, "f_number"))
-    lens.semi_diameter[lens.stop] = stop_radius(lens, aperture, wavelength)
-    return Prescription(lens, aperture=aperture)
+    return Prescription(lens.with_stop_radius(stop_radius(lens, aperture, wavelength)), aperture=aperture)
 
 
 def _row(surface: Mapping[str, Any], index: int, last: bool) -> dict[str, Any]:

@@ -90,8 +90,7 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
             radius = stop_radius(lens, aperture, wavelengths[primary])
         except ValueError as error:  # a wavelength at which a glass has no index
             raise FileError(f"{path}: {error}") from None
-    semi_diameter = lens.semi_diameter.clone()
-    clear = float(semi_diameter[lens.stop])
+    clear = float(lens.semi_diameter[lens.stop])
     follows_light = "FLAP" in inner[lens.stop].lines  # a floating aperture
     if not follows_light and clear < radius * (1 - _ROUNDING):
         if clear < radius * (1 - _SMALLER):
@@ -101,10 +100,9 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
         radius, aperture = clear, None
     if not 0 < radius < math.inf:
         raise line.error(f"the computed radius of the stop is {radius} mm, expected a positive number")
-    semi_diameter[lens.stop] = radius
     comments = tuple(block.lines["COMM"].text if "COMM" in block.lines else "" for block in inner)
     return Prescription(
-        lens=replace(lens, semi_diameter=semi_diameter),
+        lens=lens.with_stop_radius(radius),
         title=system["NAME"].text if "NAME" in system else "",
         comments=comments if any(comments) else None,
         aperture=aperture,

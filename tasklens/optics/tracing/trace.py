@@ -52,7 +52,9 @@ class _Trace(torch.autograd.Function):
     @staticmethod
     def jvp(ctx, _, *changes):
         def change(*arguments):
-            return ctx.notes.traced.image_change(arguments[: len(changes)], _OUTPUTS)
+            traced, along = ctx.notes.traced, arguments[: len(changes)]
+            d_image, _ = traced.forward([None if v is None else v[None] for v in along])
+            return tuple(traced.of_rays(d_image[0][row]) for row in _OUTPUTS)
 
         return FirstDerivative.apply(change, *changes, *ctx.saved_tensors)
 

@@ -121,11 +121,6 @@ class Traced:
         _in_parts(rays, lambda *part: derivatives.forward(*part, *arguments, d_image, d_record))
         return d_image, d_record
 
-    def image_change(self, changes: Sequence[Tensor | None], rows: Sequence[int]) -> tuple[Tensor, ...]:
-        """Compute the changes of rows of the image, each (..., W, N), for one change of the `Inputs`."""
-        change = self.forward([None if v is None else v[None] for v in changes])[0][0]
-        return tuple(self.of_rays(change[row]) for row in rows)
-
 
 def _tables(inputs: Inputs, semi_diameter: Tensor) -> tuple[numpy.ndarray, ...]:
     """Return the tables of a lens for the kernel: surfaces, polynomials, indices, which are posed, poses."""

@@ -1,6 +1,7 @@
 """Fine-tuning and measurement of a classifier on captures of a lens, and reproduction from stored weights."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -102,11 +103,4 @@ def _pipelines(
     if settings.restoration is not None:
         assert restoration is not None  # weights of the network
         network = nafnet.load(settings.restoration, restoration).to(device)
-
-    def pipeline(fields: str) -> CapturePipeline:
-        if settings.capture is None:
-            return CapturePipeline(None, network)
-        assert psf is not None  # captures need the PSFs of a lens
-        return CapturePipeline.of(settings.capture, psf, fields, device, network)
-
-    return pipeline
+    return partial(CapturePipeline.of, settings.capture, psf, device=device, network=network)

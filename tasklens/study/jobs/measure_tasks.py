@@ -42,25 +42,22 @@ def fine_tune(
     training_images, test_images = (objects.read(*split, device=device) for split in (training_scenes, test_scenes))
     size, classes = training_images.images.shape[-1], training_images.classes
     network = task_networks.load(settings.name, settings.network, classes, size, reference).to(device)
-    pipelines = dict.fromkeys(("training", "grading"), CapturePipeline())
-    for fields in pipelines if settings.capture is not None else ():
-        assert settings.capture is not None and psf is not None  # captures need the PSFs of a lens
-        pipelines[fields] = CapturePipeline.of(settings.capture, psf, fields, device)
+    captured, graded = (CapturePipeline.of(settings.capture, psf, fields, device) for fields in ("training", "grading"))
     training_task, test_task = (
         object_tasks.make(settings.name, settings.network, split) for split in (training_images, test_images)
     )
     test = test_images.as_images()
-    rows = [row | {"tuned": False} for row in scores(network, test_task, test, pipelines["grading"])]
+    rows = [row | {"tuned": False} for row in scores(network, test_task, test, graded)]
     training.fit(
         network,
         training_images.as_images(),
         settings.network.fine_tuning,
         settings.seed,
         f"fine-tuning of {settings.name}",
-        pipelines["training"].one_field,
+        captured.one_field,
         checkpoint,
         task=training_task,
     )
-    rows += [row | {"tuned": True} for row in scores(network, test_task, test, pipelines["grading"])]
+    rows += [row | {"tuned": True} for row in scores(network, test_task, test, graded)]
     write_tensors(weights, network.state_dict(), {"task": settings.name})
     write_rows(metrics, [settings.columns | row for row in rows])

@@ -75,6 +75,10 @@ class Durations:
         """Benchmarks of this study on this machine, by rule."""
         return by_rule(self.folder)
 
+    def read_again(self) -> None:
+        """Read the benchmarks of this study anew, after a job."""
+        vars(self).pop("here", None)
+
     @cached_property
     def elsewhere(self) -> dict[str, Measured]:
         """Benchmarks of this study on another machine, by rule."""

@@ -1,4 +1,4 @@
-"""A new study that fits a time budget: the default study, reduced until its forecast duration fits."""
+"""Files of new studies: the default study with a user's options, reduced by cuts to a time budget."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -11,18 +11,14 @@ import yaml
 
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
-from tasklens.settings import names
 from tasklens.settings.design_methods import with_named_designs
 from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
-from tasklens.study import table_contents
-from tasklens.study.effort import effort
 from tasklens.study.loading import parse
 from tasklens.study.run.changes import in_one_line
 from tasklens.study.run.digest import NOT_INSTALLED, ROOT
-from tasklens.study.run.forecast import COMPARABLE, LARGE, duration, durations_of, elsewhere
-from tasklens.study.study import Study
+from tasklens.study.run.forecast import COMPARABLE, LARGE
 
 DEFAULT = ROOT / "config" / "config.yaml"
 _OF_LARGE_IMAGES = {
@@ -177,66 +173,13 @@ def _network(networks: Mapping[str, Any], request: StudyRequest, name: str) -> d
     return network
 
 
-def seconds(study: Study, cores: int) -> float:
-    """Estimate the duration of the target `tables` on some cores of the machine of `config/durations.csv` [s].
-
-    A job takes as long as a job of its rule in the default study, or for large images in the studies of photographs.
-    Jobs that depend on each other (images, reference, designs, fine-tuning) run in sequence on any number of cores.
-    """
-    guesses, default = durations_of(study), elsewhere("small")
-    counts = {name: count * len(study.seeds) for name, count in _jobs_of_a_seed(study).items()}
-    counts |= {"images": 1, "reference": len(study.classifiers), "table": len(study.tables), "verdicts_table": 1}
-    per_job = {rule: guesses.seconds(rule) or 0.0 for rule in counts}
-    per_job |= {rule: default[rule].seconds for rule, seconds in per_job.items() if not seconds and rule in default}
-    longest = max(_depth(study, lens) for lens in study.lenses)
-    chain = per_job["images"] + per_job["reference"] + longest * per_job["design"] + per_job["fine_tune"]
-    return max(chain, sum(count * per_job[rule] for rule, count in counts.items()) / cores)
-
-
-def _depth(study: Study, lens: str) -> int:
-    """Return the length of the longest chain of dependent designs that ends with a lens."""
-    sources = {*table_contents.starts(study, lens), *table_contents.candidates(study, lens)}
-    return 1 + max((_depth(study, other) for other in sources), default=0)
-
-
-def _jobs_of_a_seed(study: Study) -> dict[str, int]:
-    contents = table_contents.tables(study)
-    pairs = {pair for table in contents for pair in table.measured} | {(names.SHARP, study.supervisor)}
-    return {
-        "design": len(effort(study).efforts),
-        "fine_tune": len(pairs),
-        "restore": len({lens for table in contents if table.restored for lens in table.lenses}),
-    }
-
-
-def fit(request: StudyRequest, minutes: float, cores: int) -> tuple[Cut, float]:
-    """Return the largest cut of the default study that takes at most `minutes` on some cores, and its duration [s].
-
-    Raises:
-        InputError: not even the smallest cut fits.
-    """
-    for cut in CUTS:
-        forecast_s = seconds(parse(content(request, cut)), cores) * cut.fraction
-        if forecast_s <= 60 * minutes:
-            return cut, forecast_s
-    raise too_long(minutes, forecast_s, cores)
-
-
-def too_long(minutes: float, seconds: float, cores: int) -> InputError:
-    """Return the error for a budget that not even the smallest cut fits."""
-    return InputError(
-        f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(seconds)} on {cores} cores; "
-        "allow more time, or choose fewer elements, networks or seeds"
-    )
-
-
-def check(request: StudyRequest, cut: Cut) -> None:
+def check(request: StudyRequest) -> None:
     """Check the folder of images, and that timm has all networks that are not in the default study.
 
     Raises:
         InputError: an input cannot be used; the message names it.
     """
-    study = parse(content(request, cut))
+    study = parse(content(request, CUTS[0]))
     class_folders.check(study.images)
     defaults = default_study()["classifiers"]
     if request.weights is not None and request.networks[0] in defaults:
@@ -267,11 +210,11 @@ _COMMENTS = {
 }
 
 
-def text(request: StudyRequest, cut: Cut, forecast_s: float, cores: int, path: Path) -> str:
-    """Return the text of the study file: description, command, duration, and keys with comments."""
+def text(request: StudyRequest, cut: Cut, forecast: str, cores: int, path: Path) -> str:
+    """Return the text of the study file: description, forecast, command, and keys with comments."""
     lines = [
-        f"# {cut.words[0].upper()}{cut.words[1:]}: about {duration(forecast_s)} on {cores} cores of the machine that",
-        "# config/durations.csv was measured on. All keys: `tasklens study schema`, or the reference page in docs.",
+        f"# {cut.words[0].upper()}{cut.words[1:]}, {forecast}.",
+        "# All keys: `tasklens study schema`, or the reference page in docs.",
         "#",
         f"#   snakemake -j{cores} tables --configfile {path}",
     ]

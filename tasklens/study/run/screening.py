@@ -8,8 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.mtf import mean_mtf
 from tasklens.optics.analysis.object_points import image_scale
@@ -23,7 +21,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
 from tasklens.settings.lens_entries import ImportedLens
-from tasklens.settings.messages import problems
+from tasklens.settings.messages import validated
 from tasklens.settings.names import Focus
 from tasklens.settings.specification import Spec
 
@@ -100,18 +98,13 @@ def screen(
         InputError: a value of the sensor is invalid, or a catalogue does not exist.
     """
     lens_files.check_catalogues(catalogues)
-    try:
-        sensor = Spec.model_validate(dict(spec))
-    except ValidationError as error:
-        raise InputError("; ".join(problems(error, Spec))) from None
+    sensor = validated(Spec, dict(spec))
     screened = Screened()
     progress = Progress("reading lenses", len(paths))
     for step, path in enumerate(paths, 1):
         title = _title(path, paths)
         try:
             entry, mtf, remarks = _screen(path, sensor, catalogues, scaled, focus)
-        except ValidationError as error:
-            screened.left_out[title] = "; ".join(problems(error, Spec))
         except (InputError, OSError) as error:
             screened.left_out[title] = str(error).removeprefix(f"{path}: ")
         else:
@@ -160,7 +153,7 @@ def _screen(
     }
     files = {"file": str(path), "catalogues": [*map(str, catalogues)]}
     entry = {"elements": ELEMENTS, **files, "spec": lens_spec, "focus": focus}
-    spec = Spec.model_validate(sensor.model_dump(exclude_computed_fields=True) | lens_spec)
+    spec = validated(Spec, sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
     lens, details = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number)
     if not (light := has_light(lens, view)).all():

@@ -149,7 +149,7 @@ class Terminal(logging.Handler):
         run.end(label, runs.DONE, None if benchmark is None else benchmark.seconds)
         job.result = outcome(job.rule, outputs, self._log(run, label))
         run.save()
-        self.durations[run.study] = durations_of(self.study_named(run.study))
+        self.durations[run.study].read_again()
         total = sum(len(study_run.jobs) for study_run in self.runs.values())
         done = sum(len(study_run.labels(runs.DONE)) for study_run in self.runs.values())
         count = f"{done:>{len(str(total))}}/{total}"

@@ -239,15 +239,11 @@ def durations(folder: Path) -> pandas.DataFrame:
     ]
     if not rows:
         return pandas.DataFrame()
-    jobs = pandas.DataFrame(rows).groupby("job")
-    table = pandas.DataFrame(
-        {
-            "jobs": jobs.size(),
-            "total_min": jobs["minutes"].sum(),
-            "mean_min": jobs["minutes"].mean(),
-            "longest_min": jobs["minutes"].max(),
-            "memory_mb": jobs["memory_mb"].max(),
-        }
+    minutes = {
+        f"{name}_min": ("minutes", how) for name, how in (("total", "sum"), ("mean", "mean"), ("longest", "max"))
+    }
+    table = (
+        pandas.DataFrame(rows).groupby("job").agg(jobs=("minutes", "size"), **minutes, memory_mb=("memory_mb", "max"))
     )
     return table.sort_values("total_min", ascending=False).reset_index()
 

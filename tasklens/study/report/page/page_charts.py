@@ -194,7 +194,7 @@ def histories(
         return None
     words += f" Last values: {'; '.join(ends)}."
     axes = {
-        "xaxis": {"title": {"text": "share of the last part"}, "tickformat": ".0%", "range": [0, 1]},
+        "xaxis": {"title": {"text": "share of the steps"}, "tickformat": ".0%", "range": [0, 1]},
         "yaxis": {"title": {"text": unit}} | ({"type": "log", "tickvals": _TICKS} if log else {}),
     }
     return _chart(key, title, words, figure, 520, legend=_LEGEND, showlegend=True, **axes)
