@@ -9,8 +9,8 @@ import torch
 from examples import write
 from PIL import Image
 
-from tasklens.design.single import unused_images
-from tasklens.recognition import class_folders, dataset, folders, user_images
+from tasklens.recognition import class_folders, dataset, folders, photographs
+from tasklens.recognition.photographs import unused_images
 from tasklens.runtime.files import FileError
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.study.run import ranking_run
@@ -143,7 +143,7 @@ def test_a_folder_one_level_too_high_is_refused(folder):
     doors = (
         lambda: class_folders.check(images(folder).model_copy(update={"test": 1})),
         lambda: class_folders.training_classes(folder),
-        lambda: user_images.test_images(folder, 16, 10),
+        lambda: photographs.test_images(folder, 16, 10),
         lambda: dataset.training_images(images(folder), folder / "images.npy"),
         lambda: unused_images(folder, 16),
         lambda: ranking_run.image_settings(folder, 16, 10, False, False),
@@ -155,7 +155,7 @@ def test_a_folder_one_level_too_high_is_refused(folder):
         for split in ("train", "test"):
             (folder / "deep" / split).rename(folder / "deep" / f"{split}_class")
         os.chdir(folder.parent)
-        user_images.test_images(Path(folder.name), 16, 10)
+        photographs.test_images(Path(folder.name), 16, 10)
 
 
 def test_folders_inside_that_may_be_the_classes_are_mentioned(tmp_path, capsys):

@@ -12,10 +12,10 @@ from examples import random_images, write_photographs
 from safetensors.torch import load_file, save_file
 
 from tasklens.cli.app import main
-from tasklens.design.single import unused_images
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.io import lens_files
 from tasklens.recognition.classifiers import Classifier
+from tasklens.recognition.photographs import unused_images
 from tasklens.recognition.training import fit
 from tasklens.runtime.files import FileError, write_tensors
 from tasklens.settings.lens_settings import lens_settings

@@ -18,7 +18,8 @@ from tasklens.design import objective
 from tasklens.design.criteria import TaskLoss, loss_at_psf
 from tasklens.design.single import BASELINES, LensRequest, designs
 from tasklens.design.supervision import UserTask
-from tasklens.recognition import classifiers, user_images
+from tasklens.recognition import classifiers
+from tasklens.recognition import pairs as labelled
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.sharp import check_accuracy
@@ -177,7 +178,7 @@ def test_labels_that_are_no_classes_are_refused(images, network, labels, words):
 def test_labels_may_be_of_any_type_of_integer(images):
     """As numpy's, of which torch's losses take only some."""
     labels = images.labels.numpy().astype("int16")
-    dataset = user_images.of_pairs(list(zip(images.images, labels, strict=True)))
+    dataset = labelled.of_pairs(list(zip(images.images, labels, strict=True)))
     assert dataset.labels.dtype == torch.int64 and torch.equal(dataset.labels, images.labels)
 
 
@@ -258,9 +259,9 @@ def test_a_part_of_a_data_set_has_its_classes(images):
         classes = ("a", "b", "c")
 
     part = Subset(Data(pair for pair in pairs(images) if pair[1] < 2), range(20))
-    assert user_images.of_pairs(part).classes == Data.classes and len(user_images.of_pairs(part, 7)) == 7
+    assert labelled.of_pairs(part).classes == Data.classes and len(labelled.of_pairs(part, 7)) == 7
     with pytest.raises(InputError, match="got a DataLoader; give its"):
-        user_images.of_pairs(DataLoader(part))
+        labelled.of_pairs(DataLoader(part))
     classifiers.check_logits(torch.rand(2, 5, requires_grad=True), 2, 3, exactly=False)
 
 

@@ -18,8 +18,8 @@ from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
-from tasklens.recognition import class_folders, folders, user_images
-from tasklens.recognition.user_images import Image, image_tensor
+from tasklens.recognition import class_folders, folders, photographs
+from tasklens.recognition.image_files import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
@@ -163,7 +163,7 @@ def capture_folder(
     output: Path,
     lens: Lens,
     view: View,
-    size: int = user_images.SIZE,
+    size: int = photographs.SIZE,
     field: int | None = None,
     seed: int = 0,
     colour: str | None = None,

@@ -22,7 +22,7 @@ from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View
-from tasklens.recognition import classifiers, evaluation, user_images
+from tasklens.recognition import classifiers, evaluation, pairs, photographs
 from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
@@ -120,14 +120,14 @@ def rank(
     ):
         raise InputError('rank: expected lenses by name, such as {"mine": tasklens.load_lens("mine.zmx")}')
     if isinstance(images, str | Path):
-        dataset = user_images.test_images(Path(images), user_images.SIZE if size is None else size, max_images)
+        dataset = photographs.test_images(Path(images), photographs.SIZE if size is None else size, max_images)
     elif size is not None:
         raise InputError("size: only for a folder of photographs; resize the images of your data set")
     else:
-        dataset = user_images.of_pairs(images, max_images)
+        dataset = pairs.of_pairs(images, max_images)
     if not lenses or not len(dataset):
         raise InputError("rank: expected lenses and images")
-    user_images.check_classes(dataset)
+    pairs.check_classes(dataset)
     if not isinstance(network, nn.Module):
         raise InputError(f"rank: expected a torch.nn.Module, got {type(network).__name__}")
     for name, (lens, view) in lenses.items():

@@ -159,6 +159,7 @@ def design(
     classifier = _network(method.method, network, save_network, force)
     from tasklens.design import single
     from tasklens.design.single import LensRequest
+    from tasklens.recognition.photographs import unused_images
     from tasklens.show import glance
 
     request = LensRequest(
@@ -178,7 +179,7 @@ def design(
     unused, page = None, output.with_suffix(".html")
     if verdict and method.method == "task" and photographs.images is not None and classifier is not None:
         new_file(page, force, ".html")
-        unused = single.unused_images(photographs.images, photographs.size)
+        unused = unused_images(photographs.images, photographs.size)
     with progress_bars(), _keys_as_options():
         baselines = () if unused is None else single.BASELINES
         result = single.designs(request, True, baselines, lambda text: say(f"{start.file}: {text}"))

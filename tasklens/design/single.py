@@ -21,14 +21,12 @@ from tasklens.optics.io.lens_files import LensFile
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.recognition import class_folders, user_images
+from tasklens.recognition import pairs, photographs
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError, as_paths
+from tasklens.runtime.files import as_paths
 from tasklens.settings.lens_settings import lens_settings
 
-_IMAGES = 2000  # largest number of images of a folder or a data set
-_UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
 _ELEMENTS = ("COC", "OKP4")
 _OF_THE_START = ("elements", "diagonal_mm", "aspect")  # what a lens that is improved keeps
 BASELINES = ("log_image_error", "correlation")  # criteria of image quality that a design is compared with
@@ -76,7 +74,7 @@ def designs(
     """Design one lens, its starting lenses, and the baselines that it is compared with.
 
     Args:
-        held_out: keep photographs apart for a comparison (see `unused_images`).
+        held_out: keep photographs apart for a comparison (see `photographs.unused_images`).
         baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort.
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
@@ -157,31 +155,8 @@ def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, An
     if images is None:
         return None, None
     if not isinstance(images, str | Path):
-        dataset = user_images.of_pairs(images, _IMAGES)
+        dataset = pairs.of_pairs(images, photographs.MOST)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
-    side, count = user_images.SIZE if size is None else size, _train(Path(images), held_out)
+    side, count = photographs.SIZE if size is None else size, photographs.training_count(Path(images), held_out)
     return {"folder": str(images), "size": side, "train": count, "minival": 2}, None
-
-
-def _train(folder: Path, held_out: bool) -> int:
-    """Return the number of photographs for a design: four fifths of a folder without splits if some are held out."""
-    if not held_out or class_folders.is_split(folder):
-        return _IMAGES
-    return max(1, 4 * class_folders.count(folder, _IMAGES * 5 // 4) // 5)
-
-
-def unused_images(folder: Path, size: int | None) -> ImageDataset:
-    """Return at most 500 photographs that a design with baselines does not use; raises FileError for fewer than 20."""
-    size = user_images.SIZE if size is None else size
-    if class_folders.is_split(folder):
-        images = user_images.test_images(folder, size, _UNUSED)
-        class_folders.same_classes(folder, class_folders.training_classes(folder), images.classes)
-    else:
-        images = user_images.of_folder(folder, size, _train(folder, held_out=True), _UNUSED)
-    if len(images) < _LEAST:
-        raise FileError(
-            f"{folder}: {len(images)} photographs are left for a verdict on the lens; expected {_LEAST} or more (a "
-            "fifth of <class>/*, or test/<class>/*); add some, or use --no-verdict"
-        )
-    return images

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from tasklens.recognition import class_folders, user_images
+from tasklens.recognition import class_folders, pairs
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
@@ -85,7 +85,7 @@ def supervision(
         network = classifiers.build(classifier, classes)
     if user.images is not None:
         if guided and user.task is None:
-            user_images.check_classes(user.images)
+            pairs.check_classes(user.images)
         images = replace(user.images, device=device)
     else:
         if guided and user.task is None and settings.folder is not None:

@@ -6,17 +6,14 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy
 import torch
-from PIL import Image, ImageOps
 from torch import Tensor
 
-from tasklens.recognition import class_folders
+from tasklens.recognition import class_folders, image_files
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.files import FileError, resumable_of, writing_array
 from tasklens.runtime.progress import Progress
 
-Image.MAX_IMAGE_PIXELS = 250_000_000  # Pillow rejects twice this number (1.5 GB): a small file can claim any size
 _BLOCK = 64  # photographs per thread task
 _SHOWN = 3  # errors listed in a message
 
@@ -92,7 +89,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
             files = listing.files[first : first + _BLOCK]
             for i, file in enumerate(files, first):
                 try:
-                    array[i] = read(file, size)
+                    array[i] = image_files.read(file, size)
                 except FileError as error:
                     errors.append(error)
             return first + len(files)
@@ -118,7 +115,7 @@ def read_all(files: Sequence[Path], size: int) -> Tensor:
     images, errors = torch.zeros(len(files), 3, size, size, dtype=torch.uint8), []
     for i, file in enumerate(files):
         try:
-            images[i] = read(file, size)
+            images[i] = image_files.read(file, size)
         except FileError as error:
             errors.append(error)
     if errors:
@@ -131,7 +128,7 @@ def check_readable(files: Sequence[Path]) -> None:
     errors, progress = [], Progress("checking photographs", len(files))
     for step, file in enumerate(files, 1):
         try:
-            decode(file)
+            image_files.decode(file)
         except FileError as error:
             errors.append(error)
         progress(step)
@@ -146,43 +143,3 @@ def _unreadable(errors: Sequence[FileError], count: int) -> FileError:
     examples = "; ".join(str(error) for error in sorted(errors, key=str)[:_SHOWN])
     more = f"; and {len(errors) - _SHOWN} more" if len(errors) > _SHOWN else ""
     return FileError(f"{len(errors)} of {count} images cannot be read; repair or remove them: {examples}{more}")
-
-
-def read(path: Path, size: int) -> Tensor:
-    """Read the central square of an image as RGB, resized to (3, size, size) uint8; raises FileError."""
-    return _tensor(ImageOps.fit(decode(path), (size, size), Image.Resampling.BICUBIC))
-
-
-def read_whole(path: Path) -> Tensor:
-    """Read an image as RGB, (3, H, W) uint8; raises FileError."""
-    return _tensor(decode(path))
-
-
-def decode(path: Path) -> Image.Image:
-    """Decode an image to RGB, rotated by its EXIF tag; raises FileError."""
-    try:
-        with Image.open(path) as file:
-            return rgb(ImageOps.exif_transpose(file))
-    except Exception as error:  # any type, depending on the decoder
-        raise FileError(f"{path}: cannot be read as an image ({error})") from error
-
-
-def rgb(image: Image.Image) -> Image.Image:
-    """Convert an image to 8-bit RGB; raises ValueError for floating-point values outside [0, 1]."""
-    if image.mode == "F":
-        image = _of_floats(image)
-    elif image.mode.startswith("I"):  # 16-bit grey, which `convert` would clip at 255
-        image = image.convert("I").point(lambda value: value * (1 / 256)).convert("L")
-    return image.convert("RGB")
-
-
-def _of_floats(image: Image.Image) -> Image.Image:
-    """Convert a floating-point image in [0, 1] to 8 bits; Pillow would clip it to 0 and 1."""
-    values = numpy.asarray(image)
-    if not (values.min() >= 0 and values.max() <= 1):
-        raise ValueError(f"floating-point values from {values.min():g} to {values.max():g}; expected 0 to 1")
-    return Image.fromarray((255 * values).round().astype("uint8"))
-
-
-def _tensor(image: Image.Image) -> Tensor:
-    return torch.from_numpy(numpy.array(image)).permute(2, 0, 1)

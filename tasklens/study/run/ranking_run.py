@@ -121,14 +121,14 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
     Raises:
         InputError: the network cannot be built or read, or recognises nothing.
     """
-    from tasklens.recognition import classifiers, sharp, user_images
+    from tasklens.recognition import classifiers, photographs, sharp
 
     assert images.folder is not None
     classifiers.check("network", settings, images.size, len(class_folders.training_classes(images.folder)))
-    photographs = user_images.test_images(images.folder, images.size, _SHOWN)
-    network = classifiers.build(settings, photographs.classes)
+    shown = photographs.test_images(images.folder, images.size, _SHOWN)
+    network = classifiers.build(settings, shown.classes)
     try:
-        return sharp.check_accuracy(classifiers.frozen(network, photographs.images), photographs)
+        return sharp.check_accuracy(classifiers.frozen(network, shown.images), shown)
     except sharp.TooFewImages as error:
         return str(error)
 

@@ -1,25 +1,16 @@
-"""Images of a user in Python: a file or any common array type; labelled, a torch data set or any sequence of pairs."""
+"""Labelled images of a user in Python: a torch data set, or any sequence of pairs (image, label)."""
 
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
-import numpy
 import torch
-from PIL.Image import Image as PillowImage
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from tasklens.recognition import class_folders, folders
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.recognition.folders import read_whole, rgb
+from tasklens.recognition.image_files import image_tensor
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError
-from tasklens.runtime.tensors import NO_VALUES, as_tensor
-
-SIZE = 224  # side to which photographs of a folder are resized, unless another is given [pixels]
-Image = str | Path | PillowImage | numpy.ndarray | Tensor
-_ROUNDING = 1e-6  # tolerance of floats in [0, 1]
+from tasklens.runtime.tensors import as_tensor
 
 
 def of_pairs(pairs: Any, limit: int | None = None) -> ImageDataset:
@@ -104,55 +95,3 @@ def _items(pairs: Any, limit: int | None) -> Iterable[tuple[int, Any]]:
     if not isinstance(pairs, Iterable):
         raise InputError(f"images: expected a folder, or pairs (image, label), got {type(pairs).__name__}")
     return enumerate(pairs)
-
-
-def of_folder(split: Path, size: int, start: int, limit: int) -> ImageDataset:
-    """Read at most `limit` photographs <split>/<class>/*, from index `start` of their random order.
-
-    Raises:
-        FileError: as in `folders.find` and `folders.read`.
-    """
-    listing = folders.find(split, start + limit, 0)
-    listing = listing.take(torch.arange(len(listing))[start:])
-    return ImageDataset(folders.read_all(listing.files, size), listing.labels, listing.classes)
-
-
-def test_images(folder: Path, size: int, limit: int) -> ImageDataset:
-    """Read at most `limit` test photographs of a folder: test/<class>/* (or val), or <class>/*; raises FileError."""
-    return of_folder(class_folders.test_folder(folder), size, 0, limit)
-
-
-def image_tensor(image: Image) -> Tensor:
-    """Return an image as a tensor (3, H, W) in [0, 1]; raises InputError."""
-    if isinstance(image, str | Path):
-        if not Path(image).is_file():
-            raise FileError(f"{image}: no such image")
-        return read_whole(Path(image)).float() / 255
-    if not isinstance(image, Tensor):
-        if hasattr(image, "read"):
-            raise InputError(
-                "image: expected the path of a file, a Pillow image, an array or a tensor, got an open file, "
-                f"{type(image).__name__}; give PIL.Image.open(file)"
-            )
-        try:
-            array = numpy.array(rgb(image) if isinstance(image, PillowImage) else image)
-        except ValueError as error:
-            raise InputError(f"image: {error}") from None
-        if array.dtype.kind == "u" and array.dtype.itemsize == 2:
-            array = array / 65535
-        tensor = as_tensor(array, "image")
-        image = tensor.movedim(-1, 0) if tensor.dim() == 3 else tensor
-    if image.is_meta:
-        raise InputError(f"image: {NO_VALUES}")
-    if image.dim() != 3 or image.shape[0] != 3:
-        hint = "; repeat a grey one three times" if image.dim() == 2 or 1 in image.shape[:1] else ""
-        raise InputError(f"image: expected an array (H, W, 3) or a tensor (3, H, W), got {tuple(image.shape)}{hint}")
-    if image.dtype in (torch.uint8, torch.uint16):
-        return image.float() / torch.iinfo(image.dtype).max
-    if not image.is_floating_point():
-        raise InputError(f"image: expected uint8, uint16 or floats in [0, 1], got {image.dtype}")
-    low, high = float(image.detach().min()), float(image.detach().max())
-    if not (low >= -_ROUNDING and high <= 1 + _ROUNDING):
-        advice = "scale them, or convert to uint8" if low >= 0 else "normalise in the network, not before the lens"
-        raise InputError(f"image: expected floats in [0, 1], got {low:g} to {high:g}; {advice}")
-    return image.float()
