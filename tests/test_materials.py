@@ -29,11 +29,6 @@ MAKERS = {
 VISIBLE = [0.41 + 0.01 * k for k in range(35)]
 
 
-def abbe(material: Material) -> tuple[float, float]:
-    nf, nd, nc = (material.refractive_index(line) for line in (F_LINE, D_LINE, C_LINE))
-    return nd, (nd - 1) / (nf - nc)
-
-
 # ---- formulas
 
 
@@ -78,7 +73,7 @@ def test_conrady_and_herzberger_at_one_wavelength():
 def test_model_glass_has_the_three_numbers_that_define_it(nd, vd, dpgf):
     """nd, Vd, and Pg,F = 0.6438 - 0.001682 Vd + dPgF."""
     glass = model_glass(nd, vd, dpgf)
-    assert abbe(glass) == pytest.approx((nd, vd), rel=1e-12)
+    assert glass.abbe() == pytest.approx((nd, vd), rel=1e-12)
     ng, nf, nc = (glass.refractive_index(line) for line in (G_LINE, F_LINE, C_LINE))
     assert (ng - nf) / (nf - nc) == pytest.approx(0.6438 - 0.001682 * vd + dpgf, rel=1e-11)
     assert model_glass(nd, 0.0, 0.0).refractive_index(0.6) == nd
@@ -92,7 +87,7 @@ def test_model_glass_is_close_to_real_ones():
     errors, normal_errors = [], []
     for glass in CATALOGUES["SCHOTT"].values():
         if glass.covers(0.41) and glass.covers(0.7):
-            nd, vd = abbe(glass)
+            nd, vd = glass.abbe()
             ng, nf, nc = (glass.refractive_index(line) for line in (G_LINE, F_LINE, C_LINE))
             model = model_glass(nd, vd, (ng - nf) / (nf - nc) - 0.6438 + 0.001682 * vd)
             visible = [w for w in VISIBLE if 0.43 <= w <= 0.7]
@@ -109,12 +104,13 @@ def test_model_glass_is_close_to_real_ones():
 # ---- the built-in plastics
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_index_and_abbe_number(name):
+def test_index_and_abbe_number():
     """To the digits that the makers state."""
-    nd, vd = abbe(builtin(name))
-    assert nd == pytest.approx(MAKERS[name][0], abs=2e-5)
-    assert vd == pytest.approx(MAKERS[name][1], abs=3e-2)
+    assert set(NAMES) == set(MAKERS)
+    for name in NAMES:
+        nd, vd = builtin(name).abbe()
+        assert nd == pytest.approx(MAKERS[name][0], abs=2e-5)
+        assert vd == pytest.approx(MAKERS[name][1], abs=3e-2)
 
 
 @pytest.mark.parametrize(
@@ -149,7 +145,7 @@ def test_catalogue_glasses_have_the_tabulated_index():
     for name, source, _, nd, vd, nf, nc, _, low, high in rows:
         glass = read[source][name]
         assert glass.range_um == (float(low), float(high)) and glass.source == source
-        assert abbe(glass) == pytest.approx((float(nd), float(vd)), abs=6e-4)
+        assert glass.abbe() == pytest.approx((float(nd), float(vd)), abs=6e-4)
         assert glass.refractive_index(D_LINE) == pytest.approx(float(nd), abs=6e-7)
         assert glass.refractive_index(F_LINE) == pytest.approx(float(nf), abs=6e-7)
         assert glass.refractive_index(C_LINE) == pytest.approx(float(nc), abs=6e-7)
@@ -159,10 +155,9 @@ def test_catalogue_glasses_have_the_tabulated_index():
 
 
 def test_a_definition_reads_back_as_the_same_material():
-    for name in NAMES:
-        text = yaml.safe_dump({name: builtin(name).definition()})
-        assert from_definitions(yaml.safe_load(text), "here") == {name: builtin(name)}
-    assert json.loads(json.dumps(builtin("COC").definition())) == builtin("COC").definition()
+    definitions = {name: builtin(name).definition() for name in NAMES}
+    for text in (yaml.safe_dump(definitions), json.dumps(definitions)):
+        assert from_definitions(yaml.safe_load(text), "here") == {name: builtin(name) for name in NAMES}
 
 
 def test_numbers_that_yaml_takes_for_text_are_numbers():
@@ -177,7 +172,6 @@ def test_numbers_that_yaml_takes_for_text_are_numbers():
         ({"formula": "magic"}, ["magic", "schott"]),
         ({"coefficients": [1.0, 2.0]}, ["3 coefficients", "2"]),
         ({"coefficients": [1.5, 0.01, "1.2.3"]}, ["coefficients", "1.2.3"]),
-        ({"coefficients": [1.5, 0.01, math.inf]}, ["coefficients", "inf"]),
         ({"coefficients": 3}, ["list", "3"]),
         ({"range_um": [0.8, 0.4]}, ["rising", "0.8"]),
         ({"range_um": [0.4]}, ["two wavelengths"]),
@@ -192,7 +186,7 @@ def test_a_wrong_definition_is_refused_with_the_reason(change, words):
     assert all(word in str(error.value) for word in ["study", "MINE", *words]), error.value
 
 
-@pytest.mark.parametrize("content", [None, [], {"X": None}, {"X": {}}, {3: {}}, {"air": builtin("COC").definition()}])
+@pytest.mark.parametrize("content", [None, {"X": None}, {3: {}}, {"air": builtin("COC").definition()}])
 def test_what_is_no_definition_is_refused(content):
     with pytest.raises(FileError, match="study"):
         from_definitions(content, "study")
@@ -210,19 +204,11 @@ def test_unknown_plastic_and_wavelength_outside_the_fit_raise():
         Material("odd", "schott", (-1, 0, 0, 0, 0, 0), (0.4, 0.8)).refractive_index(0.5)
 
 
-@pytest.mark.parametrize(
-    "coefficients, shown",
-    [
-        ((math.nan, 0.0, 0.0), "nan"),
-        ((math.inf, 0.0, 0.0), "inf"),
-        ((0.5, 0.0, 0.0), r"0\.5"),
-        ((-1.5, 0.0, 0.0), r"-1\.5"),
-    ],
-)
-def test_an_index_that_no_lens_medium_has_is_refused(coefficients, shown):
-    """Not a number, infinite, below one, negative: with the name, the index and the wavelength, in a lens too."""
-    odd = Material("odd", "conrady", coefficients, (0.4, 0.8))
-    words = rf"odd: .* {shown} at 0\.5893 um; expected at least 1"
+@pytest.mark.parametrize("index", [math.nan, math.inf, 0.5, -1.5])
+def test_an_index_that_no_lens_medium_has_is_refused(index):
+    """With the name, the index and the wavelength, in a lens too."""
+    odd = Material("odd", "conrady", (index, 0.0, 0.0), (0.4, 0.8))
+    words = rf"odd: .* {index} at 0\.5893 um; expected at least 1"
     with pytest.raises(InputError, match=words):
         odd.refractive_index(0.5893)
     with pytest.raises(InputError, match=words):
@@ -239,8 +225,8 @@ def test_every_glass_of_the_catalogues_has_indices_in_its_range():
     for glasses in CATALOGUES.values():
         for glass in glasses.values():
             low, high = glass.range_um
-            indices = [glass.refractive_index(min(low + k / 64 * (high - low), high)) for k in range(65)]
+            indices = [glass.refractive_index(min(low + k / 8 * (high - low), high)) for k in range(9)]
             if glass.name == "VACUUM":
-                assert indices == pytest.approx([1 / 1.00027] * 65, abs=2e-5)
+                assert indices == pytest.approx([1 / 1.00027] * 9, abs=2e-5)
             else:
                 assert min(indices) > 1, glass.name

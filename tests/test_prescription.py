@@ -16,7 +16,7 @@ from tasklens.runtime.files import FileError
 from tasklens.study.report.measurements import Measurements
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(6))
 def test_round_trip_keeps_every_bit(tmp_path, seed):
     original, path = random_prescription(seed), tmp_path / "lens.yaml"
     prescription.write(path, original, {"origin": {"seed": seed}})
@@ -36,13 +36,6 @@ def test_round_trip_of_a_design(tmp_path):
     restored, _ = prescription.read(tmp_path / "lens.yaml")
     assert same_bits(restored.lens, lens)
     assert replace(restored, lens=None) == Prescription(None)
-
-
-def test_lens_without_aspheres(tmp_path):
-    lens = make_lens([0.5, -0.5], [1.0, 2.0], ("COC", "air"), semi_diameter=[0.5, 1.0], stop=1)
-    prescription.write(tmp_path / "lens.yaml", Prescription(lens), {})
-    restored = prescription.read(tmp_path / "lens.yaml")[0].lens
-    assert restored.alpha.shape == (2, 0) and restored.stop == 1
 
 
 def test_a_file_holds_the_dispersion_of_its_materials(tmp_path):
@@ -76,61 +69,45 @@ def put(*keys, value):
         for key in keys[:-1]:
             content = content[key]
         content[keys[-1]] = value
+        if value is ...:
+            del content[keys[-1]]
 
     return change
 
 
 def drop(*keys):
-    def change(content):
-        for key in keys[:-1]:
-            content = content[key]
-        del content[keys[-1]]
-
-    return change
+    return put(*keys, value=...)
 
 
+NUMBERS = ("curvature", "conic", "thickness", "semi_diameter")
 MISTAKES = [
     (put("format", value=1), ["format 1", "expected 2"]),
-    (put("format", value=[2]), ["format", "[2]"]),
     (drop("format"), ["format None"]),
     (put("units", value="inch"), ["units", "inch", "mm"]),
-    (drop("surfaces"), ["no surfaces"]),
-    (drop("materials"), ["no materials"]),
-    (drop("stop"), ["no stop"]),
+    *((drop(key), [f"no {key}"]) for key in ("surfaces", "materials", "stop")),
     (put("surfaces", value=[]), ["surfaces", "at least one"]),
     (put("surfaces", value={"0": {}}), ["surfaces", "list"]),
     (put("surfaces", 2, value=None), ["surface 2", "None"]),
-    (put("surfaces", 2, value="flat"), ["surface 2", "flat"]),
-    *((drop("surfaces", 2, key), ["surface 2", key]) for key in ("curvature", "conic", "thickness", "medium")),
-    (drop("surfaces", 2, "semi_diameter"), ["surface 2", "semi_diameter"]),
+    *((drop("surfaces", 2, key), ["surface 2", key]) for key in (*NUMBERS, "medium")),
+    *((put("surfaces", 3, key, value="1.2.3"), ["surface 3", key, "1.2.3"]) for key in (*NUMBERS, "alpha_4")),
     *(
-        (put("surfaces", 3, key, value=value), ["surface 3", key, str(value)])
-        for key in ("curvature", "conic", "thickness", "alpha_4", "semi_diameter")
-        for value in ("1.2.3", math.nan, -math.inf, True, [1.0], "1_0", "1e999", "ten")
+        (put("surfaces", 3, "thickness", value=value), ["surface 3", "thickness", str(value)])
+        for value in (math.nan, -math.inf, True, [1.0], "1_0", "1e999", "ten", None)
     ),
-    (put("surfaces", 3, "thickness", value=None), ["surface 3", "thickness", "None"]),
     (put("surfaces", 3, "semi_diameter", value=-1.0), ["surface 3", "semi_diameter", "-1.0"]),
     *((put("surfaces", 0, "semi_diameter", value=v), ["surface 0", "stop", "positive", str(v)]) for v in (0, 0.0)),
-    (put("surfaces", 1, "radius", value=3.0), ["surface 1", "radius"]),
-    *(
-        (put("surfaces", 1, key, value=3.0), ["surface 1", key])
-        for key in ("alpha_5", "alpha_0", "alpha_04", "alpha_482")
-    ),
+    *((put("surfaces", 1, k, value=3.0), ["surface 1", k]) for k in ("radius", "alpha_5", "alpha_04", "alpha_482")),
     (put("surfaces", 1, "medium", value="GLASS"), ["surface 1", "GLASS", "COC"]),
-    (put("surfaces", 1, "medium", value=["COC"]), ["surface 1", "['COC']"]),
     (put("materials", value=["COC"]), ["materials", "COC"]),
     (put("materials", "COC", "formula", value="magic"), ["materials", "COC", "magic"]),
-    (put("materials", "COC", "coefficients", value=[1.0, "x"]), ["materials", "COC", "x"]),
     *((put("stop", value=value), ["stop", str(value)]) for value in (5, -1, 1.5, "1", None, True)),
     (put("aperture", value=2.8), ["aperture", "2.8"]),
     (put("aperture", value={"speed": 2.8}), ["aperture", "speed", "f_number"]),
-    (put("aperture", value={"f_number": "fast"}), ["aperture", "fast"]),
     (put("fields", value={"angle_deg": [[0, 1], [3]]}), ["fields", "[3]"]),
     (put("fields", value={"angle_deg": [[0, "x"]]}), ["fields", "x"]),
     *((put("aperture", value={"f_number": v}), ["aperture: f_number", "positive", str(v)]) for v in (0, -2.8)),
     *((put("wavelengths_um", value=[v, 0.5, 0.6]), ["wavelengths_um", "positive", str(v)]) for v in (0, -0.5)),
     (put("wavelengths_um", value=0.5), ["wavelengths_um", "0.5"]),
-    (put("wavelengths_um", value=[0.5, None]), ["wavelengths_um", "None"]),
     (put("primary", value=3), ["primary", "3"]),
     (drop("primary"), ["primary"]),
     *((put("object_distance_mm", value=v), ["object_distance_mm", str(v)]) for v in ("near", 0, -370.0, math.inf)),

@@ -80,15 +80,15 @@ def test_light_adds_up_to_one_over_all_space():
 
 
 def test_error_falls_with_rays_as_sobol_sampling_should():
-    """RMS error over six seeds from 2^8 to 2^13 rays: order 1 or better, where random points have 1/2."""
+    """RMS error over six seeds from 2^7 to 2^11 rays: order 1 or better, where random points have 1/2."""
     field = [[0.1, 0.05]]
-    exact = psf_of_a_lens(field, sobol_disc(2**17, seed=99), 20.0, 21)
+    exact = psf_of_a_lens(field, sobol_disc(2**15, seed=99), 20.0, 21)
 
     def error(rays: int) -> float:
         squared = [(psf_of_a_lens(field, sobol_disc(rays, seed), 20.0, 21) - exact).square().sum() for seed in range(6)]
         return float(torch.stack(squared).mean().sqrt())
 
-    order = torch.tensor(error(2**8) / error(2**13)).log2() / 5
+    order = torch.tensor(error(2**7) / error(2**11)).log2() / 4
     assert 0.95 < float(order) < 1.5
 
 

@@ -14,18 +14,6 @@ from tasklens.optics.tracing.reference_tracer import reference_trace
 from tasklens.optics.tracing.trace import trace
 
 
-def test_slope_is_the_derivative_of_the_sag():
-    lens = random_lens(0)
-    r = torch.linspace(0, 1.2, 30, dtype=torch.float64, requires_grad=True)
-    for i in range(1, 5):
-        surface = lens.curvature[i], lens.conic[i], lens.alpha[i]
-        value, slope, inside = sag(r * r, *surface)
-        assert inside.all()
-        u = (r * r).detach().requires_grad_()
-        assert_close(slope, torch.autograd.grad(sag(u, *surface)[0].sum(), u)[0], 1e-14)
-        assert_close(radial_slope(r, *surface), torch.autograd.grad(value.sum(), r)[0], 1e-14)
-
-
 def test_sag_beyond_the_edge_of_the_conic_is_finite():
     """Where the sphere ends the mask says so, and neither values nor gradients become infinite."""
     values = [f64(v).requires_grad_() for v in (1.0, 0.0, [0.1, 0.2])]
@@ -54,14 +42,10 @@ def test_a_lost_ray_has_a_status_and_a_surface():
     stop = replace(ball, semi_diameter=f64([0.3, 9.0, 9.0]))
     assert status_of(stop, parallel_rays([0.3 * (1 - 1e-9)])) == (RayStatus.OK, -1)
     assert status_of(stop, parallel_rays([0.3 * (1 + 1e-5)])) == (RayStatus.VIGNETTED, 0)
-
-
-def test_total_internal_reflection_begins_at_the_critical_angle():
-    """Leaving glass through a sphere at height r, sin i = r / R: light passes while that is below 1 / n."""
-    lens = make_lens([0.0, -0.8], [1.0, 1.0], ("COC", "air"))
+    sphere = make_lens([0.0, -0.8], [1.0, 1.0], ("COC", "air"))  # total reflection begins at sin i = r / R = 1 / n
     critical = 1 / builtin("COC").refractive_index(0.5893) / 0.8
-    assert status_of(lens, parallel_rays([critical - 1e-3])) == (RayStatus.OK, -1)
-    assert status_of(lens, parallel_rays([critical + 1e-3])) == (RayStatus.TOTAL_INTERNAL_REFLECTION, 1)
+    assert status_of(sphere, parallel_rays([critical - 1e-3])) == (RayStatus.OK, -1)
+    assert status_of(sphere, parallel_rays([critical + 1e-3])) == (RayStatus.TOTAL_INTERNAL_REFLECTION, 1)
 
 
 def test_a_lost_ray_stays_lost_and_does_not_disturb_others():
@@ -93,13 +77,13 @@ PARAMETERS = ("curvature", "conic", "alpha", "thickness")
 @pytest.mark.parametrize(
     "tangent, tracer",
     [(0.5, trace), (1e5, trace), (0.5, reference_trace)],
-    ids=lambda value: getattr(value, "__name__", f"tangent{value}"),
+    ids=["fast", "fast and steep", "reference"],
 )
 def test_nothing_is_ever_nan(name, tangent, tracer):
     """Whatever becomes of a ray, values and gradients are finite, in both modes."""
     lens = extreme_lenses()[name]
     values = {key: getattr(lens, key).clone().requires_grad_() for key in PARAMETERS}
-    start = random_rays(200, 3, height=1.5, tangent=tangent)
+    start = random_rays(60, 3, height=1.5, tangent=tangent)
 
     def image(parameters):
         rays = tracer(replace(lens, **parameters), start, lens.refractive_indices(WAVELENGTHS))
@@ -114,9 +98,7 @@ def test_nothing_is_ever_nan(name, tangent, tracer):
 
 
 def test_a_ray_that_never_moves_along_the_axis_is_missed_and_finite():
-    zero, one = f64([[0.0]]), f64([[1.0]])
-    rays = trace(
-        random_lens(0), launch(zero, one / 10, zero, one, zero, zero), random_lens(0).refractive_indices((0.5893,))
-    )
+    lens, zero, one = random_lens(0), f64([[0.0]]), f64([[1.0]])
+    rays = trace(lens, launch(zero, one / 10, zero, one, zero, zero), lens.refractive_indices((0.5893,)))
     assert RayStatus(int(rays.status)) == RayStatus.MISSED
     assert torch.isfinite(torch.stack([rays.x, rays.y, rays.path])).all()

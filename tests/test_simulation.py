@@ -92,14 +92,14 @@ def traced_from_every_pixel(lens, view, image: Tensor, pitch: float, lit: tuple[
 
 @pytest.mark.parametrize(
     "lit",
-    [(slice(40, 56), slice(56, 72)), (slice(40, 56), slice(112, 128)), (slice(0, 16), slice(0, 16))],
+    [(slice(44, 52), slice(60, 68)), (slice(44, 52), slice(120, 128)), (slice(0, 8), slice(0, 8))],
     ids=["centre", "edge", "corner"],
 )
 def test_a_capture_is_that_of_psfs_traced_from_every_pixel(traced, lit):
     """Within 1 % of what the lens does to the image, RMS, at centre, edge and corner."""
     lens, view = blurred()
     image = torch.zeros(3, *SHAPE)
-    image[(slice(None), *lit)] = noise((16, 16), seed=1)
+    image[(slice(None), *lit)] = noise((8, 8), seed=1)
     expected = traced_from_every_pixel(lens, view, image, pitch_on_sensor(lens, view, SHAPE), lit)
     error = (blend(image, traced) - expected).square().mean().sqrt()
     assert error < 0.01 * (expected - image).square().mean().sqrt()
@@ -109,7 +109,7 @@ def test_a_star_shows_the_psf_of_its_field_and_keeps_its_light(traced):
     """Between nodes too: within 2 % of the PSF's norm, which has the noise of rays."""
     lens, view = blurred()
     pitch = pitch_on_sensor(lens, view, SHAPE)
-    for row, column in ((48, 64), (70, 90), (52, 124), (93, 125)):
+    for row, column in ((70, 90), (93, 125)):
         star = torch.zeros(3, *SHAPE)
         star[:, row, column] = 1
         capture = blend(star, traced)
@@ -144,7 +144,7 @@ def test_the_same_psf_everywhere_is_a_convolution_without_seams():
     torch.testing.assert_close(capture[:, 2:-2, 2:-2], expected, rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("shape", [(32, 48), (33, 47), (47, 32), (40, 41)])
+@pytest.mark.parametrize("shape", [(33, 47), (40, 32)])
 def test_the_four_quadrants_are_mirror_images(shape):
     """Of even and odd sizes, upright and lying: the capture of a mirrored image is the mirrored capture."""
     psfs, image = replace(with_halo(shape, seed=2), halo=None), noise(shape, seed=2)
@@ -154,7 +154,7 @@ def test_the_four_quadrants_are_mirror_images(shape):
         torch.testing.assert_close(blend(image.flip(axes), psfs), capture.flip(axes), rtol=0, atol=2e-6)
 
 
-@pytest.mark.parametrize("shape", [(32, 48), (33, 47), (41, 30)])
+@pytest.mark.parametrize("shape", [(33, 47), (40, 32)])
 def test_no_light_is_lost(shape):
     image = noise(shape, seed=5)
     torch.testing.assert_close(blend(image, with_halo(shape, 6)).sum((1, 2)), image.sum((1, 2)), rtol=1e-5, atol=0)
@@ -288,9 +288,9 @@ def test_what_cannot_be_simulated_is_refused(change, message):
         tasklens.simulate_whole_sensor(lens=lens, view=view, **arguments)
 
 
-def test_an_image_of_another_size_than_its_psfs_is_refused(traced):
-    with pytest.raises(InputError, match=r"\(3, 96, 127\).*expected \(3, 96, 128\)"):
-        blend(torch.zeros(3, 96, 127), traced)
+def test_an_image_of_another_size_than_its_psfs_is_refused():
+    with pytest.raises(InputError, match=r"\(3, 32, 47\).*expected \(3, 32, 48\)"):
+        blend(torch.zeros(3, 32, 47), with_halo((32, 48), 6))
 
 
 def test_the_chart_is_grey_where_lines_are_finer_than_pixels_and_the_same_upside_down():

@@ -22,12 +22,8 @@ IMAGE = torch.rand(3, 40, 40, generator=torch.Generator().manual_seed(0))
 PAIRS = [(IMAGE, k % 3) for k in range(3)]
 
 
-def pair():
-    lens, view = tasklens.load_lens(FILE, kernel_size=15)
-    return lens, replace(view, fields=view.fields[[0, 8]])
-
-
-LENS, VIEW = pair()
+LENS, VIEW = tasklens.load_lens(FILE, kernel_size=15)
+VIEW = replace(VIEW, fields=VIEW.fields[[0, 8]])
 CURVATURE = LENS.curvature
 CAMERA = tasklens.Camera(LENS, VIEW, rays=64)
 PSFS = tasklens.psf(LENS, VIEW.in_colours(), rays=64).float()
@@ -70,22 +66,21 @@ def assert_one_line(call, words: str) -> None:
     assert "\n" not in str(error.value)
 
 
-def transforms(doors, of_all: str) -> list[tuple[str, str]]:
-    """Every transform of one door, and two of the others."""
-    return [(door, name) for door in doors for name in (TRANSFORMS if door == of_all else ("jvp", "vmap"))]
+@pytest.mark.parametrize("door", list(OF_LENS)[:6])
+def test_transforms_of_functions_of_a_lens(door):
+    """Every transform of one door, and one of the others."""
 
-
-@pytest.mark.parametrize("door, transform", transforms(list(OF_LENS)[:6], "psf"))
-def test_transforms_of_functions_of_a_lens(door, transform):
     def function(curvature):
         return OF_LENS[door](replace(LENS, curvature=curvature))
 
-    assert_one_line(lambda: TRANSFORMS[transform](function, CURVATURE), TRANSFORMED)
+    for name in TRANSFORMS if door == "psf" else ("jvp",):
+        assert_one_line(lambda name=name: TRANSFORMS[name](function, CURVATURE), TRANSFORMED)
 
 
-@pytest.mark.parametrize("door, transform", transforms(OF_IMAGES, "Camera"))
-def test_transforms_of_functions_of_images(door, transform):
-    assert_one_line(lambda: TRANSFORMS[transform](OF_IMAGES[door], IMAGE[None]), TRANSFORMED)
+@pytest.mark.parametrize("door", OF_IMAGES)
+def test_transforms_of_functions_of_images(door):
+    for name in TRANSFORMS if door == "Camera" else ("vmap",):
+        assert_one_line(lambda name=name: TRANSFORMS[name](OF_IMAGES[door], IMAGE[None]), TRANSFORMED)
 
 
 def test_transforms_of_parameters_and_of_a_backward_pass():
@@ -170,29 +165,24 @@ def test_other_values_on_meta():
         lambda: tasklens.trace(LENS, VIEW, pupil=torch.zeros(3, 2, device="meta")),
         lambda: tasklens.PsfCamera(PSFS.to("meta"))(IMAGE[None], [0]),
         lambda: tasklens.Camera(LENS, VIEW, rays=16).to("meta")(IMAGE[None]),
-        lambda: tasklens.rank(
-            {"mine": (LENS, VIEW)}, PAIRS, nn.Sequential(nn.Flatten(), nn.Linear(4800, 3)).to("meta")
-        ),
+        lambda: tasklens.rank({"mine": (LENS, VIEW)}, PAIRS, nn.Linear(4800, 3, device="meta")),
         lambda: tasklens.rank({"mine": (LENS, VIEW)}, [(IMAGE.to("meta"), 0)], NETWORK),
     ):
         assert_one_line(call, r"without values \(device meta\)")
 
 
-@pytest.mark.parametrize("kind", ["f2", "f4", "f8", "u1", "u2"])
-def test_arrays_of_any_byte_order(kind):
-    """Images, fields, pupil points, labels and indices of fields."""
-    scale = {"u1": 255, "u2": 65535}.get(kind, 1)
-    array = (scale * IMAGE.permute(1, 2, 0).numpy()).astype(kind)
-    native = tasklens.simulate(LENS, VIEW, array, rays=16)
+@pytest.mark.parametrize("kind", ["f2", "f8", "u2"])
+def test_images_of_any_byte_order(kind):
+    """And with strides below zero."""
+    array = ((65535 if kind == "u2" else 1) * IMAGE.permute(1, 2, 0).numpy()).astype(kind)[::-1, :, ::-1]
+    native = tasklens.simulate(LENS, VIEW, array.copy(), rays=16)
     for order in "<>":
-        torch.testing.assert_close(tasklens.simulate(LENS, VIEW, array.astype(order + kind), rays=16), native)
-    flipped = array.astype(">" + kind)[::-1, :, ::-1]
-    torch.testing.assert_close(
-        tasklens.simulate(LENS, VIEW, flipped, rays=16), tasklens.simulate(LENS, VIEW, flipped.astype(kind), rays=16)
-    )
+        flipped = array.astype(order + kind, order="K")
+        torch.testing.assert_close(tasklens.simulate(LENS, VIEW, flipped, rays=16), native)
 
 
 def test_numbers_of_any_byte_order():
+    """Pupil points, fields, indices of fields and labels."""
     points = numpy.array([[0.0, 0.1], [0.2, 0.3]])
     for values in (points.astype(">f8"), points[::-1].copy()[::-1]):
         assert torch.equal(tasklens.trace(LENS, VIEW, pupil=values).x, tasklens.trace(LENS, VIEW, pupil=points).x)
@@ -216,22 +206,15 @@ def test_arrays_of_other_kinds_are_refused(kind):
         assert_one_line(call, "expected a tensor .*, got ndarray")
 
 
-def open_files():
-    return [io.BytesIO(b"one"), io.StringIO("one\ntwo"), (ROOT / "README.md").open(), (ROOT / "README.md").open("rb")]
-
-
-@pytest.mark.parametrize("file", open_files())
+@pytest.mark.parametrize("file", [io.BytesIO(b"one"), (ROOT / "README.md").open()], ids=["bytes", "text"])
 @pytest.mark.parametrize(
     "door, words",
     [
         (lambda file: tasklens.load_lens(file), "path: expected the path of a file, got"),
-        (lambda file: tasklens.load_lens(FILE, file), "catalogues: expected the path of a file, got"),
         (lambda file: tasklens.load_lens(FILE, [file]), "catalogues: expected the path of a file, got"),
         (lambda file: tasklens.save_lens(file, LENS, VIEW), "path: expected the path of a file, got"),
         (lambda file: tasklens.design_lens(start=file), "start: expected the path of a lens file, or a lens"),
-        (lambda file: tasklens.design_lens(catalogues=file), "catalogues: expected the path of a file, got"),
         (lambda file: tasklens.simulate(LENS, VIEW, file), r"got an open file, .*; give PIL.Image.open\(file\)"),
-        (lambda file: tasklens.simulate_whole_sensor(LENS, VIEW, file), "got an open file"),
         (lambda file: tasklens.rank({"a": (LENS, VIEW)}, file, NETWORK), "images: expected a folder, or pairs"),
         (lambda file: tasklens.rank({"a": (LENS, VIEW)}, [(file, 0)], NETWORK), "number 0: .* got an open file"),
         (lambda file: tasklens.design_lens("task", images=file, network=NETWORK), "images: expected a folder"),
@@ -244,8 +227,3 @@ def test_open_files_are_refused(door, words, file):
 def test_paths_of_other_kinds_are_refused():
     for path in (b"lens.yaml", None, 3):
         assert_one_line(lambda path=path: tasklens.load_lens(path), "path: expected the path of a file, got")
-
-
-def test_other_errors_stay_as_they_are():
-    with pytest.raises(AttributeError):
-        tasklens.psf(None, VIEW)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from examples import WAVELENGTHS, difference, f64, hyperboloid, make_lens, random_lens
 
+from tasklens.materials.catalogues import builtin
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, trace_fields
@@ -16,6 +17,7 @@ from tasklens.optics.view import View
 
 REFERENCE = WAVELENGTHS[1]
 PUPIL = sobol_disc(128, seed=0)
+N = builtin("COC").refractive_index(REFERENCE)
 
 
 def view_at(fields, wavelengths=(REFERENCE,)) -> View:
@@ -25,8 +27,7 @@ def view_at(fields, wavelengths=(REFERENCE,)) -> View:
 
 def ellipsoid() -> Lens:
     """An ellipsoid, k = -1 / n^2, that images the axis perfectly inside its glass."""
-    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
-    return make_lens([0.2], [5 * n / (n - 1)], ("COC",), conic=[-1 / n**2], semi_diameter=[3.0])
+    return make_lens([0.2], [5 * N / (N - 1)], ("COC",), conic=[-1 / N**2], semi_diameter=[3.0])
 
 
 def stopped(lens: Lens, radius: float, stop: int = 0) -> Lens:
@@ -75,10 +76,9 @@ def test_the_centre_of_the_sphere_is_a_tilt():
 
 def test_the_exit_pupil_is_the_image_of_the_stop():
     """A stop at d in front of a thin lens of focal length f: at -d f / (f - d) behind it, larger by f / (f - d)."""
-    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
     f, d, radius = 4.0, 1.5, 0.6
     media, semi = ("air", "COC", "air"), [radius, torch.inf, torch.inf]
-    lens = make_lens([0.0, 1 / f / (n - 1), 0.0], [d, 0.0, 3.5], media, semi_diameter=semi)
+    lens = make_lens([0.0, 1 / f / (N - 1), 0.0], [d, 0.0, 3.5], media, semi_diameter=semi)
     first_order = paraxial(lens, REFERENCE)
     assert float(first_order.exit_pupil_z) == pytest.approx(-d * f / (f - d), rel=1e-13)
     assert float(first_order.exit_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
@@ -89,11 +89,10 @@ def test_the_exit_pupil_is_the_image_of_the_stop():
 
 def test_a_telecentric_lens_has_a_plane_reference():
     """The stop in the front focus: finite gradients, and paths between those of a pupil far in front and far behind."""
-    n = float(make_lens([0.0], [1.0], ("COC",)).refractive_indices((REFERENCE,))[1, 0])
     semi, view = [0.5, torch.inf, torch.inf], view_at([[0.0, 0.1]])
 
     def lens(distance: torch.Tensor) -> Lens:
-        base = make_lens([0.0, 1 / (4 * (n - 1)), 0.0], [0, 0, 4.0], ("air", "COC", "air"), semi_diameter=semi)
+        base = make_lens([0.0, 1 / (4 * (N - 1)), 0.0], [0, 0, 4.0], ("air", "COC", "air"), semi_diameter=semi)
         return replace(base, thickness=torch.stack([distance, f64(0.0), f64(4.0)]))
 
     distance = f64(4.0).requires_grad_()

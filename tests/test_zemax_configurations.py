@@ -26,9 +26,7 @@ DIAM, PARM = 'DIAM 0.55 0 0 0 1 ""', "  PARM 2 -0.002"
 OPERANDS = [  # operand, number, value, further words; and the same as changes of the text
     ("THIC", 2, "0.45", TAIL, ("DISZ 0.3", "DISZ 0.45")),
     ("THIC", 0, "350", TAIL, ("DISZ INFINITY", "DISZ 350")),
-    ("THIC", 0, "1.000000000000E+010", TAIL),
     ("THIC", 6, "12.5", TAIL),  # the image
-    ("THIC", 7, "12.5", TAIL),
     ("CRVT", 1, "0.26", TAIL, ("CURV 0.25", "CURV 0.26")),
     ("CRVT", 4, "1.2E-001", TAIL, ("CURV 0.1\n", "CURV 0.12\n")),
     ("CONN", 1, "-0.7", TAIL, ("CONI -0.5", "CONI -0.7")),
@@ -37,13 +35,11 @@ OPERANDS = [  # operand, number, value, further words; and the same as changes o
     ("GLSS", 2, "PMMA", TAIL, ("DISZ 0.3", "DISZ 0.3\n  GLAS PMMA")),
     ("GLSS", 4, "COC", TAIL, ("GLAS ___BLANK 1 0 1.64 23.3 0.01", "GLAS COC")),
     ("GLSS", 1, "", TAIL, ("  GLAS COC 0 0 1.5 40\n", "")),  # air
-    ("GLSS", 2, "", TAIL),
     ("MIND", 4, "1.65", TAIL, ("1.64 23.3", "1.65 23.3")),
     ("MABB", 4, "25", TAIL, ("1.64 23.3", "1.64 25")),
     ("MDPG", 4, "0.02", TAIL, ("23.3 0.01", "23.3 0.02")),
     ("MIND", 1, "1.65", TAIL),  # not a model glass
     ("PAR2", 1, "1E-4", TAIL, (PARM, "  PARM 2 1e-4")),
-    ("PAR3", 1, "1E-4", TAIL, (PARM, f"{PARM}\n  PARM 3 1e-4")),
     ("PRAM", 1, "1E-4", "0 2 0 1 1 1 0 0", (PARM, "  PARM 2 1e-4")),
     ("SDIA", 2, "0.7", TAIL, ("DIAM 0.8 1", "DIAM 0.7 1")),
     ("SDIA", 4, "0.9", TAIL, ("FLAP 0 1.1", "FLAP 0 0.9")),
@@ -51,7 +47,6 @@ OPERANDS = [  # operand, number, value, further words; and the same as changes o
     ("APMX", 2, "0.7", TAIL),  # no clear aperture
     ("APDX", 3, "0.1", TAIL),
     ("APTP", 4, "10", TAIL),
-    ("CATX", 3, "0", TAIL),
     ("STPS", 0, "4", TAIL, ("  STOP\n", ""), ("SURF 4\n", "SURF 4\n  STOP\n")),
     ("APER", 0, "1.1", TAIL, ("ENPD 1.2", "ENPD 1.1")),
     ("SATP", 0, "1", TAIL, ("ENPD 1.2", "FNUM 1.2 0")),
@@ -65,7 +60,6 @@ OPERANDS = [  # operand, number, value, further words; and the same as changes o
     ("PRWV", 0, "1", TAIL, ("PWAV 2", "PWAV 1")),
     ("APDT", 0, "0", TAIL),
     ("MOFF", 0, "9", TAIL),
-    ("EFFL", 0, "9", TAIL),
     ("LTTL", 0, "title", TAIL),
 ]
 every_operand = pytest.mark.parametrize(
@@ -147,10 +141,8 @@ def test_operands_together(tmp_path):
 REFUSED = [
     ("APMN 2 1 0.1 0", "hole"),
     ("APDX 2 1 0.1 0", "decentred"),
-    ("APDY 2 1 0.1 0", "decentred"),
     ("APTP 2 1 4 0", "type 4"),
     ("APTP 4 1 0 0", "type 0"),
-    ("APTP 4 1 11 0", "type 11"),
     ("APDT 0 1 1 0\nAPDF 0 1 2 0", "apodised"),
     ("SATP 0 1 2 0", "object space"),
     ("SATP 0 1 9 0", "0 .. 5"),
@@ -158,7 +150,6 @@ REFUSED = [
     ("FLTP 0 1 4 0", "type 0 .. 3"),
     ("PRWV 0 1 5 0", "wavelengths"),
     ("WAVE 1 1 -1 0", "positive wavelengths"),
-    ("STPS 0 1 0 0", "1 .. 5"),
     ("STPS 0 1 6 0", "1 .. 5"),
     ("GLSS 1 1 MIRROR 0", "mirrors"),
     ("GLSS 1 1 UNOBTAINIUM 0", "--catalogue"),
@@ -168,7 +159,6 @@ REFUSED = [
     ("CRVT 1 1 x 0", "number"),
     ("PAR2 2 1 0.1 0", "no term number 2"),
     ("PRAM 1 1 0.1", "5 values"),
-    ("IGNR 2 1 1 0", "ignored"),
     ("IGNM 2 1 1 0", "ignored"),
     ("TELE 0 1 1 0", "telecentric"),
     ("AFOC 0 1 1 0", "afocal"),
@@ -181,13 +171,11 @@ REFUSED = [
 
 @pytest.mark.parametrize("rows, word", REFUSED)
 def test_an_operand_that_sets_what_is_not_supported_is_refused(tmp_path, rows, word):
-    text = edit(("DIAM 0.8 1 0 0 1", "CLAP 0 0.8 0"))
-    for saved in (1, 2):
-        read_lens(tmp_path, text)
-        (tmp_path / "lens.zmx").write_text(with_rows(rows, saved=saved, text=text))
-        with pytest.raises(FileError, match=word) as error:
-            zemax.read(tmp_path / "lens.zmx", configuration=1)
-        assert "lens.zmx" in str(error.value)
+    text = with_rows(rows, saved=2, text=edit(("DIAM 0.8 1 0 0 1", "CLAP 0 0.8 0")))
+    read_lens(tmp_path, text)  # it is not that of the saved configuration
+    with pytest.raises(FileError, match=word) as error:
+        zemax.read(tmp_path / "lens.zmx", configuration=1)
+    assert "lens.zmx" in str(error.value)
 
 
 SOLVES = [

@@ -36,7 +36,6 @@ SYSTEM = [  # a line of OpticStudio, in place of another, and words of the messa
     ("FTYP 0 0 2 3 0 0 1 2", "afocal"),
     ("ENVD 60 1 0", "20 deg C"),
     ("ENVD 20 0 0", "1 atm"),
-    ("ENVD 60 1 1", "20 deg C"),
     ("GFAC 1 2", "apodis"),
     ("FNUM 2.8 0", "ENPD as well"),
     ("TELE 1", "telecentric"),
@@ -97,9 +96,7 @@ def test_what_changes_no_ray_changes_nothing(tmp_path, apodisation):
 NUMBERS = [
     ("  PARM 2 -0.002", "  PARM 2 1e400", "range of float64"),
     ("  PARM 2 -0.002", "  PARM 2 inf", "inf"),
-    ("  DISZ 0.8", "  DISZ -1e999", "range of float64"),
     ("  PARM 8 1e-06", "  PARM 9 1e-06", "8 terms"),
-    ("  PARM 8 1e-06", "  PARM 0 1e-06", "8 terms"),
     ("  PARM 8 1e-06", "  PARM 1.5 1e-06", "integer"),
     ("FTYP 0 0 2 3 0 0 0 2", "FTYP 0 0 2.5 3 0 0 0 2", "integer"),
     ("FTYP 0 0 2 3 0 0 0 2", "FTYP 0 0 -2 3 0 0 0 2", "at least one field"),
@@ -150,18 +147,13 @@ def extended_asphere(*lines: str) -> str:
     "lines, row, words",
     [
         (["1 -3", "2 1"], 0, ["0 .. 240 terms", "-3"]),
-        (["1 2.5", "2 1", "3 1"], 0, ["integer", "2.5"]),
         (["1 241", "2 1"], 0, ["0 .. 240 terms", "241"]),
-        (["1 1e300", "2 1"], 0, ["0 .. 240 terms", "1e300"]),
-        (["1 1e400", "2 1"], 0, ["float64", "1e400"]),
         (["1", "2 1"], 0, ["2 values"]),
         (["1 2", "2 0", "3 1"], 1, ["positive normalisation radius", "0"]),
-        (["1 2", "2 -1", "3 1"], 1, ["positive normalisation radius", "-1"]),
         (["1 2", "2 1", "5 0.1"], 2, ["2 terms"]),
         (["2 1", "3 0.1"], 1, ["0 terms"]),
         (["1 240", "2 1000", "242 0.1"], 2, ["float64"]),
         (["1 240", "2 0.001", "242 0.1"], 2, ["float64"]),
-        (["1 99999999999999999999", "2 1"], 0, ["0 .. 240 terms"]),
     ],
 )
 def test_terms_of_an_extended_asphere(tmp_path, lines, row, words):
@@ -174,20 +166,17 @@ def test_all_terms_of_an_extended_asphere(tmp_path):
     assert not read_lens(tmp_path, extended_asphere("1 0")).lens.alpha.any()
 
 
+@pytest.mark.parametrize("newline", ["\n", "\r\n"])
 @pytest.mark.parametrize(
-    "encoding, mark", [("utf-16-le", b""), ("utf-16-be", b""), ("utf-32", b""), ("utf-16-be", codecs.BOM_UTF16_BE)]
+    "encoding, mark",
+    [(name, b"") for name in ("utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32")]
+    + [("utf-16-be", codecs.BOM_UTF16_BE), ("latin-1", b"")],
 )
-def test_encodings_of_any_character(tmp_path, encoding, mark):
-    text = edit(("A doublet", "Ø 30 µm – 透镜"))
+def test_encodings_and_line_ends(tmp_path, encoding, mark, newline):
+    title = "Ø 30 µm" if encoding == "latin-1" else "Ø 30 µm – 透镜"
+    text = edit(("A doublet", title)).replace("\n", newline)
     (tmp_path / "lens.zmx").write_bytes(mark + text.encode(encoding))
-    assert zemax.read(tmp_path / "lens.zmx").title == "Ø 30 µm – 透镜"
-
-
-@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "latin-1"])
-def test_encodings_and_line_ends(tmp_path, encoding):
-    text = edit(("A doublet", "Ø 30 µm"))
-    for newline in ("\n", "\r\n"):
-        assert read_lens(tmp_path, text.replace("\n", newline), encoding=encoding).title == "Ø 30 µm"
+    assert zemax.read(tmp_path / "lens.zmx").title == title
 
 
 @pytest.mark.parametrize(
@@ -197,12 +186,9 @@ def test_encodings_and_line_ends(tmp_path, encoding):
         (LENS_TEXT.encode("utf-16-le")[:301], ["line 10", "UTF-16", "cut off"]),
         (codecs.BOM_UTF8 + LENS_TEXT.encode() + b"\xff", ["line 55", "UTF-8"]),
         (LENS_TEXT.replace("A doublet", "A\0doublet").encode(), ["line 3", r"'\x00'"]),
-        (LENS_TEXT.replace("A doublet", "A\0doublet").encode("utf-16"), ["line 3", r"'\x00'"]),
         (LENS_TEXT.replace("DISZ 0.8", "DISZ 0\x1b8").encode(), ["line 26", r"'\x1b'"]),
         (codecs.BOM_UTF16_LE + LENS_TEXT.encode("utf-16-le").replace(b"d\0o\0", b"\0\xd8o\0"), ["line 3", "UTF-16"]),
-        (bytes(range(256)), ["line 1"]),
         (b"\x89PNG\r\n\x1a\n\0\0", ["line 2", "text file"]),
-        (b"", ["SURF"]),
         (codecs.BOM_UTF16_LE, ["SURF"]),
     ],
 )

@@ -58,7 +58,7 @@ def without_source(material: Material) -> Material:
     return replace(material, source="")
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(5))
 def test_round_trip_keeps_every_bit(tmp_path, seed):
     original = random_prescription(seed)
     (tmp_path / "mine.yaml").write_text(yaml.safe_dump({"MINE": MINE.definition()}))
@@ -103,6 +103,7 @@ def test_real_rays_fill_an_inner_stop(tmp_path):
         ({"title": "two\nlines"}, ["one line", "two"]),
         ({"comments": ("", " a", "", "", "", "")}, ["one line", " a"]),
         ({"aperture": ("f_number", 1.0)}, ["f_number 1.0", "stop", "mm"]),
+        ({"aperture": None, "lens": make_lens([0.1], [1.0], ("COC",))}, ["radius of its stop"]),
     ],
 )
 def test_what_a_file_cannot_hold_is_refused(tmp_path, change, words):
@@ -144,16 +145,7 @@ def test_a_catalogue_has_nd_and_vd_for_lists(tmp_path):
 
 @pytest.mark.parametrize("name", ["MY GLASS", "MIRROR", "___BLANK"])
 def test_a_glass_that_zemax_cannot_name_is_refused(tmp_path, name):
-    original = random_prescription(1)
     glass = Material(name, "conrady", (1.5, 0.0, 0.0), (0.4, 0.8))
+    lens = replace(random_prescription(0).lens, media=(glass,) * 6)
     with pytest.raises(FileError, match=name):
-        zemax.write(
-            tmp_path / "lens.zmx", replace(original, aperture=None, lens=replace(original.lens, media=(glass,) * 6))
-        )
-
-
-def test_a_stop_without_a_size_is_refused(tmp_path):
-    original = random_prescription(0)
-    original.lens.semi_diameter[original.lens.stop] = math.inf
-    with pytest.raises(FileError, match="radius of its stop"):
-        zemax.write(tmp_path / "lens.zmx", original)
+        zemax.write(tmp_path / "lens.zmx", replace(random_prescription(0), lens=lens))
