@@ -1,4 +1,4 @@
-"""Constraints of every design: margins, penalties, violations."""
+"""Constraints of every design: margins, penalties, violations; and their derivatives in least squares."""
 
 import math
 from dataclasses import replace
@@ -6,9 +6,10 @@ from dataclasses import replace
 import pytest
 import torch
 from designs import LIMITS, SPEC, VIEW
-from examples import f64, materials
+from examples import f64, materials, random_lens
 
 from tasklens.design.constraints import (
+    all_margins,
     first_order_margins,
     manufacturing_margins,
     penalty,
@@ -16,6 +17,7 @@ from tasklens.design.constraints import (
     violation,
     worst_margin,
 )
+from tasklens.design.linear_limits import LinearLimits
 from tasklens.design.start import flat
 from tasklens.optics.rays import launch
 
@@ -119,3 +121,56 @@ def test_shortfall_begins_before_the_limit():
     assert violations[0] > 0 and violations[1] == 0 and float(violations[2] - violations[0]) == pytest.approx(0.5)
     for name in ("efl_tolerance", "distortion", "chief_ray_angle"):  # fractions and radians
         assert float(violation({name: f64([0.0])})) == pytest.approx(0.1 * float(violations[0]))
+
+
+STRICT = LIMITS.model_copy(
+    update={
+        **{"efl_tolerance": 1e-4, "distortion": 1e-4, "max_slope": 0.05, "max_track": 0.5, "max_centre_thickness": 0.4},
+        **{"min_centre_thickness": 0.5, "min_edge_thickness": 2.0, "min_back_focus": 9.0, "min_air_gap": 1.0},
+        "max_chief_ray_angle_deg": 5.0,
+    }
+)
+
+
+def autograd_violations(lens, semi_diameter, chief) -> torch.Tensor:
+    x, y, l, m, n = chief[..., None, None]
+    rays = launch(x, y, torch.zeros_like(x), l, m, n)
+    return violation(all_margins(lens, STRICT, VIEW, semi_diameter, rays))
+
+
+def example(seed: int) -> tuple:
+    """A lens with aspheres, illuminated radii (one below the stop's), and chief rays; every limit is violated."""
+    generator = torch.Generator().manual_seed(seed)
+
+    def uniform(low: float, high: float, *shape: int) -> torch.Tensor:
+        return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
+
+    lens = random_lens(seed)
+    lens = replace(lens, semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    fields = len(VIEW.fields)
+    ranges = [(-1, 1), (1, 2), (-0.2, 0.2), (-0.5, -0.3), (0.7, 0.9)]
+    return lens, uniform(0.2, 0.8, 5), torch.stack([uniform(*limits, fields) for limits in ranges])
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_values_and_derivatives_are_those_of_the_limits(seed):
+    """Derivatives along two random changes of all parameters at once."""
+    lens, semi_diameter, chief = example(seed)
+    linear = LinearLimits(lens, STRICT, VIEW, semi_diameter, chief)
+    expected = autograd_violations(lens, semi_diameter, chief)
+    assert (expected > 0).double().mean() > 0.5 and (expected == 0).any()
+    torch.testing.assert_close(linear.values, expected, rtol=1e-12, atol=1e-14)
+    generator = torch.Generator().manual_seed(100 + seed)
+    values = {"curvature": lens.curvature, "thickness": lens.thickness, "alpha": lens.alpha}
+    values |= {"semi_diameter": semi_diameter, "chief": chief}
+    changes = {k: torch.randn(2, *v.shape, generator=generator, dtype=torch.float64) for k, v in values.items()}
+
+    def function(values):
+        values = dict(values)
+        semi_diameter, chief = values.pop("semi_diameter"), values.pop("chief")
+        return autograd_violations(replace(lens, **values), semi_diameter, chief)
+
+    actual = linear.along(changes)
+    for k in range(2):
+        expected = torch.func.jvp(function, (values,), ({name: change[k] for name, change in changes.items()},))[1]
+        torch.testing.assert_close(actual[:, k], expected, rtol=1e-10, atol=1e-11)

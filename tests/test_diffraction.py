@@ -71,7 +71,7 @@ def test_short_wavelengths_give_the_spot():
         # Refocus each wavelength, so that the defocus stays the same.
         focus = paraxial(blurred, wavelength).bfl - paraxial(blurred, WAVELENGTH).bfl
         moved = replace(blurred, thickness=blurred.thickness + torch.stack([0 * focus, focus]))
-        pair = [evaluation_psf(moved, colour, 2**16, diffraction=with_waves)[0, 0] for with_waves in (False, True)]
+        pair = [evaluation_psf(moved, colour, 2**14, diffraction=with_waves)[0, 0] for with_waves in (False, True)]
         return float((pair[0] - pair[1]).abs().sum() / 2)
 
     long, short = difference(1.6), difference(0.4)
@@ -146,7 +146,7 @@ def test_a_rim_that_is_given_up(monkeypatch, alpha_10, moved_mm, share):
 
 
 def test_against_huygens_in_optiland():
-    """A phone lens on the axis and off it: within 1 % of the peak. Optiland samples the pupil on a grid of 64 rays."""
+    """A phone lens off the axis: within 1 % of the peak. Optiland samples the pupil on a grid of 64 x 64 rays."""
     optiland = pytest.importorskip("optiland_lenses")
     from optiland.psf import HuygensPSF
 
@@ -157,14 +157,11 @@ def test_against_huygens_in_optiland():
     is_stop = torch.arange(len(lens.semi_diameter)) == lens.stop
     lens = replace(lens, semi_diameter=torch.where(is_stop, lens.semi_diameter, torch.inf))
     efl = float(paraxial(lens, imported.wavelengths_um[channel]).efl)
-    view = View(efl * f64([[0.0, 0.0], [0.15, 0.25]]), efl, imported.wavelengths_um, 1.8, 51)
-    optic, fields = optiland.in_optiland(lens, view)
-    for field, optiland_field in enumerate(map(tuple, fields)):
-        psf = HuygensPSF(
-            optic, optiland_field, view.wavelengths_um[channel], num_rays=64, image_size=20, pixel_pitch=1.6e-3
-        )
-        x = torch.linspace(-16e-3, 16e-3, 20, dtype=torch.float64)
-        values = irradiance(lens, view, field, channel, x + float(psf.cx), x + float(psf.cy)).flatten()
-        reference = f64(numpy.asarray(psf.psf)).flatten()
-        scale = (values @ reference) / (reference @ reference)  # unit of Optiland: 100 at the peak of a perfect lens
-        assert float((values - scale * reference).abs().max() / values.max()) < 0.01
+    view = View(efl * f64([[0.15, 0.25]]), efl, imported.wavelengths_um, 1.8, 51)
+    optic, (field,) = optiland.in_optiland(lens, view)
+    psf = HuygensPSF(optic, tuple(field), view.wavelengths_um[channel], num_rays=64, image_size=12, pixel_pitch=1.6e-3)
+    x = torch.linspace(-9.6e-3, 9.6e-3, 12, dtype=torch.float64)
+    values = irradiance(lens, view, 0, channel, x + float(psf.cx), x + float(psf.cy)).flatten()
+    reference = f64(numpy.asarray(psf.psf)).flatten()
+    scale = (values @ reference) / (reference @ reference)  # unit of Optiland: 100 at the peak of a perfect lens
+    assert float((values - scale * reference).abs().max() / values.max()) < 0.01

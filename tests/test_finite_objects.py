@@ -7,23 +7,21 @@ from pathlib import Path
 
 import pytest
 import torch
-from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
-from reference_files import reference_files
+from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens
 
 import tasklens
 from tasklens.camera.sensor_psfs import trace_sensor_psfs
 from tasklens.cli.app import main
 from tasklens.design.constraints import first_order_margins
 from tasklens.materials.material import model_glass
-from tasklens.materials.zemax_text import read_lines
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.diffraction import irradiance
 from tasklens.optics.analysis.object_points import magnification
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
-from tasklens.optics.analysis.spots import chief_points, chief_rays, trace_fields, trace_fields_full
+from tasklens.optics.analysis.spots import chief_rays, trace_fields, trace_fields_full
 from tasklens.optics.analysis.wavefront import path_differences
-from tasklens.optics.io import lens_files, zemax
+from tasklens.optics.io import lens_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
@@ -122,12 +120,9 @@ def test_a_far_object_is_at_infinity():
 
 @pytest.mark.parametrize("name", ["curvature", "thickness"])
 def test_derivatives(name):
-    """Image points and wavefronts, stop inside: reverse and forward mode agree with differences to 1e-6, relative."""
-    lens, view, points = (
-        cooke_triplet(),
-        view_at([[0.0, 0.0], [0.1, -0.2]], 120.0),
-        torch.cat([0.9 * rim(3), PUPIL[:1]]),
-    )
+    """Image points and wavefronts along a random change, stop inside: both modes agree with differences to 1e-6."""
+    lens, view = cooke_triplet(), view_at([[0.0, 0.0], [0.1, -0.2]], 120.0)
+    points = torch.cat([0.9 * rim(2), PUPIL[:1]])
 
     def rays(value: torch.Tensor) -> torch.Tensor:
         changed = replace(lens, **{name: value})
@@ -136,15 +131,13 @@ def test_derivatives(name):
         return torch.stack([image.x, image.y, path_differences(changed, view, points)])
 
     value = getattr(lens, name)
-    expected = difference(rays, value, {"curvature": 1e-6, "thickness": 1e-4}[name])
-    scale = expected.flatten(1, 3).abs().flatten(1).amax(-1)
-    reverse = torch.autograd.functional.jacobian(rays, value).reshape(expected.shape)
-    direction = torch.randn(value.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
-    forward = torch.func.jvp(rays, (value,), (direction,))[1]
-    along = (reverse * direction.reshape(expected.shape[4:])).flatten(4).sum(-1)
-    for k in range(3):
-        torch.testing.assert_close(reverse[k], expected[k], rtol=0, atol=1e-6 * float(scale[k]))
-        torch.testing.assert_close(forward[k], along[k], rtol=0, atol=1e-9 * float(scale[k]))
+    change = torch.randn(value.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
+    expected = difference(lambda t: rays(value + t * change), f64(0.0), {"curvature": 1e-6, "thickness": 1e-4}[name])
+    reverse = torch.autograd.functional.jacobian(rays, value) @ change
+    forward = torch.func.jvp(rays, (value,), (change,))[1]
+    for k, scale in enumerate(expected.flatten(1).abs().amax(-1).tolist()):
+        torch.testing.assert_close(reverse[k], expected[k], rtol=0, atol=1e-6 * scale)
+        torch.testing.assert_close(forward[k], reverse[k], rtol=0, atol=1e-9 * scale)
 
 
 def test_a_sensor_sees_the_image_where_it_is():
@@ -186,41 +179,6 @@ def test_rays_are_those_of_optiland(lens):
         torch.testing.assert_close(rays.y[field, 0], torch.as_tensor(optiland_rays.y), rtol=0, atol=1e-8)
 
 
-NEAR = {  # distance of the object [mm], largest RMS spot diameter in docs/results/existing_lenses.csv [um]
-    "3P_F2.5_FOV78.1_EFL2.8_IMH2.3_TTL4.33": (350.0, 17.36),
-    "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3.30": (370.0, 8.13),
-}
-
-
-@pytest.mark.parametrize(
-    "path", [p for p in reference_files("lenses/cellphone/source/*") if p.stem in NEAR], ids=lambda path: path.stem
-)
-def test_spots_are_those_of_the_benchmark(path, monkeypatch):
-    """The benchmark launches its own rays, for the image heights in the file. CODE V gives 19.08 and 7.86 um."""
-    monkeypatch.syspath_prepend(Path(__file__).parents[1] / "benchmarks")
-    import existing_lenses as benchmark
-
-    imported = zemax.read(path, reference_files("glass/*.AGF"))
-    distance, expected = NEAR[path.stem]
-    assert imported.object_distance_mm == distance
-    weights = [line.number(2) for line in read_lines(path) if line.keyword == "WAVM"][: len(imported.wavelengths_um)]
-    view = replace(
-        benchmark.view_along_y(imported.lens, [0.0], imported.wavelengths_um),
-        wavelengths_um=(imported.wavelengths_um[imported.primary],),
-        object_vergence=1 / distance,
-    )
-
-    def height(y: float) -> float:
-        return float(chief_points(imported.lens, replace(view, fields=f64([[0.0, y]])))[0, 1])
-
-    fields = f64([[0.0, benchmark.solve(height, y)] for _, y in imported.fields[1]])
-    pupil = benchmark.square_grid(101)
-    rays = trace_fields(imported.lens, replace(view, fields=fields, wavelengths_um=imported.wavelengths_um), pupil)
-    file_rays = benchmark.rays_of_file(imported, imported.lens, pupil)
-    torch.testing.assert_close(rays.y, file_rays.y, rtol=0, atol=1e-9)
-    assert 2e3 * float(benchmark.weighted_rms(rays, f64(weights)).max()) == pytest.approx(expected, abs=0.005)
-
-
 # ---- files, commands, and errors
 
 
@@ -251,7 +209,6 @@ def test_commands_say_where_the_object_is(tmp_path, capsys):
     assert f"{analysis['magnification']:.4g}" in output_of("analyse", DOUBLET)
     assert " 80 " in output_of("compare", DOUBLET).splitlines()[1]
     assert json.loads(output_of("show", DOUBLET, "--json"))[str(DOUBLET)]["magnification"] == analysis["magnification"]
-    output_of("draw", DOUBLET, "-o", tmp_path / "lens.svg")
     output_of("psf", DOUBLET, "-o", tmp_path / "psf.npz")
 
 
@@ -259,7 +216,6 @@ def test_commands_say_where_the_object_is(tmp_path, capsys):
     "distance, words",
     [
         ("-5", "object distance -5 (--object-distance, in Python object_distance_mm): expected millimetres in front"),
-        ("0", "object distance 0 (--object-distance"),
         ("nan", "object distance nan (--object-distance"),
         ("0.5", "the lens forms no real image of it; move it away"),
     ],
@@ -267,14 +223,6 @@ def test_commands_say_where_the_object_is(tmp_path, capsys):
 def test_an_object_without_an_image_is_refused(distance, words, capsys):
     assert main(["lens", "show", str(DOUBLET), "--object-distance", distance]) == 2
     assert words in capsys.readouterr().err
-
-
-def test_a_lens_without_an_image_has_figures_at_infinity_alone():
-    lens = replace(random_lens(1), semi_diameter=f64([0.3, *[torch.inf] * 4]))
-    view = view_at([[0.0, 0.0], [0.0, 0.1]], 50.0)
-    assert figures(lens, replace(view, object_vergence=0.0), 64)["efl_mm"] < 0
-    with pytest.raises(InputError, match="object at 50 mm: the lens forms no real image of it"):
-        figures(lens, view, 64)
 
 
 def test_an_object_in_the_first_element_is_refused():

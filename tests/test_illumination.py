@@ -43,7 +43,7 @@ def test_it_is_the_density_of_rays(path, distance):
     view = replace(view.in_reference(), object_vergence=1 / distance)  # without refocusing
     fields = view.along_y(torch.linspace(0.4, 1.7, 14, dtype=torch.float64))
     light, heights = relative_illumination(lens, fields), chief_points(lens, fields)[:, 1]
-    u, v, w = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(1 << 20, dtype=torch.float64).unbind(-1)
+    u, v, w = torch.quasirandom.SobolEngine(3, scramble=True, seed=0).draw(1 << 19, dtype=torch.float64).unbind(-1)
     widest, radius = 1.7 * float(view.radii.max()) / view.efl, float(lens.semi_diameter[lens.stop])
     tangent, rho, angle = widest * u.sqrt(), radius * v.sqrt(), 2 * math.pi * w
     stop = torch.stack([rho * torch.cos(angle), rho * torch.sin(angle)], -1)
@@ -64,7 +64,7 @@ def test_it_is_the_density_of_rays(path, distance):
     torch.testing.assert_close(light / light[0], expected / expected[0], rtol=0.015, atol=0)
 
 
-@pytest.mark.parametrize("shift", [0.3, 1.0, 1.6, 1.9])
+@pytest.mark.parametrize("shift", [0.3, 1.6])
 def test_a_mount_cuts_what_two_circles_do_not_share(shift):
     """A hole at a distance from a small stop: the remaining light is the overlap of two shifted circles."""
     a, hole, distance, f = 1e-3, 1.2e-3, 0.05, 3.0

@@ -16,12 +16,14 @@ from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.io import lens_files, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
 PUBLISHED = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 HEIGHTS = ((0.0, 0.0), (0.0, 18.2))
+BICONVEX = [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}]
 
 
 def save(tmp_path, **changes) -> lens_files.LensFile:
@@ -36,11 +38,17 @@ def save(tmp_path, **changes) -> lens_files.LensFile:
     return lens_files.read(tmp_path / "lens.zmx")
 
 
+def with_aperture(surface: int, radius_mm: float) -> Lens:
+    """The Cooke triplet with another semi-diameter of a surface."""
+    semi_diameter = cooke_triplet().semi_diameter.clone()
+    semi_diameter[surface] = radius_mm
+    return cooke_triplet(semi_diameter=semi_diameter)
+
+
 @pytest.mark.parametrize(
     "wavelengths, primary, expected",
     [
         ((0.4861, 0.5876, 0.6563), 1, (0.6563, 0.5876, 0.4861)),
-        ((0.55,), 0, (0.55,)),
         ((0.5, 0.6), 1, (0.5, 0.6)),
         ((0.7, 0.65, 0.6, 0.55), 3, (0.7, 0.65, 0.55, 0.6)),
     ],
@@ -52,6 +60,8 @@ def test_wavelengths_are_those_of_the_file(tmp_path, wavelengths, primary, expec
     assert not any("wavelength" in remark for remark in file.remarks)
     other = lens_files.read(tmp_path / "lens.zmx", wavelengths_um=["0.52"])
     assert other.view.wavelengths_um == (0.52,)
+    with pytest.warns(UserWarning, match=r"lens\.zmx: no pixels in the file"):
+        tasklens.load_lens(tmp_path / "lens.zmx")
 
 
 def test_any_number_of_wavelengths_is_drawn_and_simulated(tmp_path):
@@ -74,9 +84,7 @@ def test_a_real_image_height_is_solved_without_clear_apertures(tmp_path):
     field = f64([[0.0, math.tan(math.radians(angle)) * open_file.view.efl]])
     chief = chief_rays(open_file.lens, replace(open_file.view.in_reference(), fields=field))
     assert abs(float(chief.y)) == pytest.approx(18.2, abs=1e-6)
-    semi = cooke_triplet().semi_diameter.clone()
-    semi[6] = 1.0
-    clipped = save(tmp_path, lens=cooke_triplet(semi_diameter=semi), fields=("real_image_height_mm", HEIGHTS))
+    clipped = save(tmp_path, lens=with_aperture(6, 1.0), fields=("real_image_height_mm", HEIGHTS))
     torch.testing.assert_close(clipped.view.tangents, open_file.view.tangents, rtol=1e-9, atol=0)
     assert any(" does not arrive at " in remark or "no light" in remark for remark in clipped.remarks)
     with pytest.raises(FileError, match="no chief ray arrives at the image height 90 mm"):
@@ -87,37 +95,25 @@ def test_where_light_is_lost_is_a_remark(tmp_path):
     """Rays that miss a surface, and marginal rays that a rear element clips."""
     save(tmp_path)
     wide = lens_files.read(tmp_path / "lens.zmx", field_of_view_deg=90.0)
-    assert any(
-        "no light arrives at" in text and "lost by total internal reflection at surface 3" in text
-        for text in wide.remarks
-    )
-    semi = cooke_triplet().semi_diameter.clone()
-    semi[6] = 4.0
-    clipped = save(tmp_path, lens=cooke_triplet(semi_diameter=semi))
-    assert (
-        "marginal rays on the axis are lost at the clear aperture of surface 6 (the first is 0)" in clipped.remarks[-1]
-    )
+    (remark,) = (text for text in wide.remarks if "no light arrives at" in text)
+    assert "lost by total internal reflection at surface 3" in remark
+    (*_, remark) = save(tmp_path, lens=with_aperture(6, 4.0)).remarks
+    assert "marginal rays on the axis are lost at the clear aperture of surface 6 (the first is 0)" in remark
 
 
 def test_what_no_lens_can_have_is_refused(tmp_path):
     with pytest.raises(FileError, match="a field of 95 degrees: expected less than 90"):
         save(tmp_path, fields=("angle_deg", ((0.0, 95.0),)))
-    semi = cooke_triplet().semi_diameter.clone()
-    semi[cooke_triplet().stop] = 60.0
     with pytest.raises(FileError, match=r"F/0.3\d: faster than F/0.5"):
-        save(tmp_path, lens=cooke_triplet(semi_diameter=semi))
-    surfaces = [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}]
+        save(tmp_path, lens=with_aperture(cooke_triplet().stop, 60.0))
     with pytest.raises(InputError, match=r"F/0\.4: faster than"):
-        tasklens.lens(surfaces, field_of_view_deg=4, f_number=0.4)
+        tasklens.lens(BICONVEX, field_of_view_deg=4, f_number=0.4)
 
 
 def test_an_aperture_that_does_not_fit_the_stop_is_refused(tmp_path):
     """An F-number edited by hand; the radius of the stop has to change with it."""
     path = tmp_path / "lens.yaml"
-    lens, view = tasklens.lens(
-        [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}], 10, 4.0
-    )
-    tasklens.save_lens(path, lens, view)
+    tasklens.save_lens(path, *tasklens.lens(BICONVEX, 10, 4.0))
     content = yaml.safe_load(path.read_text())
     content |= {"aperture": {"f_number": 4.0}, "wavelengths_um": content["spec"]["wavelengths_um"], "primary": 1}
     path.write_text(yaml.safe_dump(content))
@@ -141,10 +137,8 @@ def test_a_lens_whose_only_field_is_the_axis(tmp_path):
     file = save(tmp_path, fields=("angle_deg", ((0.0, 0.0),)))
     assert file.view.fields.tolist() == [[0.0, 0.0]] and "no field except the axis" in file.remarks[0]
     wide = lens_files.read(tmp_path / "lens.zmx", field_of_view_deg=40.0)
-    figures = [
-        tasklens.analyse(lens_file.lens, lens_file.view, rays=256)["rms_centroid_um"][0] for lens_file in (file, wide)
-    ]
-    assert figures[0] == pytest.approx(figures[1], rel=1e-12)
+    on_axis, of_wide = (tasklens.analyse(f.lens, f.view, rays=64)["rms_centroid_um"][0] for f in (file, wide))
+    assert on_axis == pytest.approx(of_wide, rel=1e-12)
 
 
 def test_paraxial_image_heights_of_a_near_object(tmp_path):
@@ -154,12 +148,6 @@ def test_paraxial_image_heights_of_a_near_object(tmp_path):
     scale = tasklens.analyse(image.lens, image.view, rays=64)["magnification"]
     near["fields"] = ("object_height_mm", ((0.0, 10.0 / abs(scale)),))
     torch.testing.assert_close(save(tmp_path, **near).view.tangents, image.view.tangents, rtol=1e-9, atol=0)
-
-
-def test_assumptions_are_warnings_in_python(tmp_path):
-    save(tmp_path)
-    with pytest.warns(UserWarning, match=r"lens\.zmx: no pixels in the file"):
-        tasklens.load_lens(tmp_path / "lens.zmx")
 
 
 @pytest.mark.parametrize("name", ["lens.yaml", "lens.zmx"])
@@ -198,19 +186,10 @@ def test_a_missing_catalogue_is_an_error_for_every_lens(tmp_path):
     [
         ({"obect_distance_mm": 500}, "obect_distance_mm: unknown key; did you mean object_distance_mm?"),
         ({"wavelengths_um": [0.9, 0.8, 0.7], "primary": 1}, "wavelengths_um and primary contradict"),
-        (
-            {"wavelengths_um": [0.6563, 0.5893, 0.4861], "primary": 0},
-            "wavelengths_um and primary contradict spec.wavelengths_um, whose middle one is the reference",
-        ),
+        ({"wavelengths_um": [0.6563, 0.5893, 0.4861], "primary": 0}, "whose middle one is the reference"),
         ({"spec.pixel_pich_um": 3}, "spec.pixel_pich_um: unknown key; did you mean pixel_pitch_um?"),
-        (
-            {"spec.object_distance_mm": 500},
-            "spec.object_distance_mm = 500 contradicts object_distance_mm, from which it is inf",
-        ),
-        (
-            {"spec.field_of_view_deg": 40},
-            "spec.field_of_view_deg = 40 contradicts fields_mm and efl_mm, from which it is 68.8",
-        ),
+        ({"spec.object_distance_mm": 500}, "500 contradicts object_distance_mm, from which it is inf"),
+        ({"spec.field_of_view_deg": 40}, "40 contradicts fields_mm and efl_mm, from which it is 68.8"),
         ({"spec.f_number": 5.6}, "spec.f_number = 5.6 contradicts stop_radius_mm, from which it is 2.8"),
         ({"spec.diagonal_mm": 8}, "spec.diagonal_mm = 8 contradicts fields_mm, from which it is 4;"),
         ({"format": 1}, "format 1, expected 2; export the lens with the version of"),

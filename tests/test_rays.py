@@ -1,17 +1,18 @@
-"""Aspheres and ray tracing: the laws of refraction, exact systems, gradients, and what becomes of lost rays."""
+"""Ray tracing: what becomes of lost rays, derivatives of the tracer, threads."""
 
 from dataclasses import replace
 
 import pytest
 import torch
-from examples import WAVELENGTHS, assert_close, f64, make_lens, parallel_rays, random_lens, random_rays
+from examples import WAVELENGTHS, assert_close, difference, f64, make_lens, parallel_rays, random_lens, random_rays
 
 from tasklens.materials.catalogues import builtin
-from tasklens.optics.aspheres import radial_slope, sag
+from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
-from tasklens.optics.rays import RayStatus, launch
+from tasklens.optics.rays import Rays, RayStatus, launch
 from tasklens.optics.tracing.reference_tracer import reference_trace
-from tasklens.optics.tracing.trace import trace
+from tasklens.optics.tracing.trace import linearise, trace
+from tasklens.runtime.errors import InputError
 
 
 def test_sag_beyond_the_edge_of_the_conic_is_finite():
@@ -48,18 +49,6 @@ def test_a_lost_ray_has_a_status_and_a_surface():
     assert status_of(sphere, parallel_rays([critical + 1e-3])) == (RayStatus.TOTAL_INTERNAL_REFLECTION, 1)
 
 
-def test_a_lost_ray_stays_lost_and_does_not_disturb_others():
-    """Rays are traced as if alone, and a status once decided survives all later surfaces."""
-    lens = make_lens([0.0, 1.0, 0.0], [0.5, 0.5, 1.0], ("air", "COC", "air"), semi_diameter=[0.9, 9.0, 0.5])
-    indices, heights = lens.refractive_indices((0.5893,)), [0.1, 0.95, 0.8, -0.3]
-    together = trace(lens, parallel_rays(heights), indices)
-    assert together.lost_at.tolist() == [[-1, 0, 2, -1]]
-    for k, height in enumerate(heights):
-        alone = trace(lens, parallel_rays([height]), indices)
-        for name in ("x", "y", "path", "status"):
-            assert_close(getattr(together, name)[0, k], getattr(alone, name)[0, 0], 0.0)
-
-
 def extreme_lenses() -> dict[str, Lens]:
     steep = random_lens(0)
     return {
@@ -73,11 +62,11 @@ def extreme_lenses() -> dict[str, Lens]:
 PARAMETERS = ("curvature", "conic", "alpha", "thickness")
 
 
-@pytest.mark.parametrize("name", extreme_lenses())
 @pytest.mark.parametrize(
-    "tangent, tracer",
-    [(0.5, trace), (1e5, trace), (0.5, reference_trace)],
-    ids=["fast", "fast and steep", "reference"],
+    "name, tangent, tracer",
+    [(name, tangent, trace) for name in extreme_lenses() for tangent in (0.5, 1e5)]
+    + [("half balls", 0.5, reference_trace)],
+    ids=lambda value: getattr(value, "__name__", value),
 )
 def test_nothing_is_ever_nan(name, tangent, tracer):
     """Whatever becomes of a ray, values and gradients are finite, in both modes."""
@@ -102,3 +91,91 @@ def test_a_ray_that_never_moves_along_the_axis_is_missed_and_finite():
     rays = trace(lens, launch(zero, one / 10, zero, one, zero, zero), lens.refractive_indices((0.5893,)))
     assert RayStatus(int(rays.status)) == RayStatus.MISSED
     assert torch.isfinite(torch.stack([rays.x, rays.y, rays.path])).all()
+
+
+def image_of(lens: Lens, **parameters):
+    """A fixed random combination of image points, directions and paths; it depends on every parameter and index."""
+    indices = parameters.pop("indices", lens.refractive_indices(WAVELENGTHS))
+    rays = trace(replace(lens, **parameters), random_rays(20, 7), indices)
+    weights = torch.randn(4, *rays.x.shape, generator=torch.Generator().manual_seed(8), dtype=torch.float64)
+    return (weights * torch.stack([rays.x, rays.y, rays.l, rays.path])).sum()
+
+
+@pytest.mark.parametrize("name", [*PARAMETERS, "indices"])
+def test_gradient_is_the_limit_of_differences(name):
+    """Of five points, to 1e-6; it is computed without a graph, so that a second derivative is refused, not zero."""
+    lens = random_lens(0)
+    leaf = lens.refractive_indices(WAVELENGTHS) if name == "indices" else getattr(lens, name)
+    leaf = leaf.clone().requires_grad_()
+    (gradient,) = torch.autograd.grad(image_of(lens, **{name: leaf}), leaf, create_graph=True)
+    expected = difference(lambda value: image_of(lens, **{name: value}), leaf.detach(), 1e-3)
+    assert (expected.abs().flatten(1 if expected.dim() > 1 else 0) > 1e-9).any()
+    torch.testing.assert_close(gradient.detach(), expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
+    with pytest.raises(InputError, match="second derivatives"):
+        torch.autograd.grad(gradient.sum(), leaf)
+
+
+def test_a_second_derivative_in_forward_mode_is_refused():
+    lens = random_lens(0)
+    along = torch.ones_like(lens.curvature)
+
+    def slope(curvature):
+        return torch.func.jvp(lambda v: image_of(lens, curvature=v), (curvature,), (along,))[1]
+
+    with pytest.raises(InputError, match="second derivatives"):
+        torch.func.jvp(slope, (lens.curvature,), (along,))
+
+
+def test_linearised_rays_change_as_derivatives_say():
+    """Two changes of the lens at once, each through all of its parameters, against one after the other."""
+    lens, start = random_lens(4), random_rays(12, 5)
+    start = replace(start, **{k: getattr(start, k)[:, None] for k in vars(start)})
+    indices = lens.refractive_indices(WAVELENGTHS[:1])
+    values = {name: getattr(lens, name) for name in PARAMETERS}
+    generator = torch.Generator().manual_seed(6)
+    changes = {k: torch.randn(2, *v.shape, generator=generator, dtype=v.dtype) for k, v in values.items()}
+
+    def image(values):
+        rays = trace(replace(lens, **values), start, indices)
+        return torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n])
+
+    rays, _, derivative = linearise(lens, start, indices)
+    assert torch.equal(torch.stack([rays.x, rays.y, rays.l, rays.m, rays.n]), image(values))
+    image_changes = torch.stack(derivative(changes).image, 1)
+    for i in range(2):
+        expected = torch.func.jvp(image, (values,), ({k: v[i] for k, v in changes.items()},))[1]
+        assert_close(image_changes[i], expected, 1e-11)
+    alone = derivative({"conic": changes["conic"]}).image[0]
+    assert_close(derivative({"conic": changes["conic"], "thickness": 0 * changes["thickness"]}).image[0], alone, 0.0)
+
+
+def test_threads_and_blocks_do_not_show(two_threads):
+    """Ten thousand rays in one thread and in two, and in parts that split a block: the same bits, sums to rounding."""
+    lens, start = random_lens(2), random_rays(10_000, 3)
+
+    def traced(first, last, threads=1):
+        torch.set_num_threads(threads)
+        leaf = lens.curvature.clone().requires_grad_()
+        part = Rays(*(v[:, first:last] for v in vars(start).values()))
+        rays = trace(replace(lens, curvature=leaf), part, lens.refractive_indices(WAVELENGTHS))
+        return torch.stack([rays.x, rays.y, rays.path]), torch.autograd.grad(rays.x.square().sum(), leaf)[0]
+
+    whole, parts = traced(0, 10_000), [traced(0, 777), traced(777, 10_000)]
+    for actual, expected in zip(traced(0, 10_000, threads=2), whole, strict=True):
+        assert_close(actual, expected, 0.0)
+    assert_close(torch.cat([part[0] for part in parts], -1), whole[0], 1e-15)
+    assert_close(sum(part[1] for part in parts), whole[1], 1e-12 * float(whole[1].abs().max()))
+
+
+def test_a_lost_ray_carries_no_gradient():
+    """The stop passes one of two rays: the gradient of both image points equals that of the one."""
+    lens = replace(random_lens(0), semi_diameter=f64([0.3, *[torch.inf] * 4]))
+
+    def gradient(heights):
+        leaf = lens.curvature.clone().requires_grad_()
+        rays = trace(replace(lens, curvature=leaf), parallel_rays(heights), lens.refractive_indices((0.5893,)))
+        return rays, torch.autograd.grad(rays.y.sum() + rays.path.sum(), leaf)[0]
+
+    rays, both = gradient([0.2, 0.4])
+    assert rays.lost_at.tolist() == [[-1, 0]] and float(rays.y[0, 1].detach()) == 0.4
+    assert_close(both, gradient([0.2])[1], 0.0)

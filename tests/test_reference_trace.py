@@ -9,7 +9,6 @@ from examples import (
     WAVELENGTHS,
     assert_close,
     cooke_triplet,
-    difference,
     f64,
     make_lens,
     parallel_rays,
@@ -43,28 +42,6 @@ def position(rays: Rays) -> torch.Tensor:
 
 
 # ---- one surface
-
-
-def test_sag_is_that_of_the_definition():
-    x, y = random_rays(50, 0, height=1.0).x, random_rays(50, 0, height=1.0).y
-    r = torch.hypot(x, y)
-    for surface in SURFACES:
-        c, k, alpha = surface.curvature, surface.conic, surface.alpha
-        expected = c * r**2 / (1 + torch.sqrt(1 - (1 + k) * c**2 * r**2))
-        expected = expected + sum(a * r ** (2 * j) for j, a in enumerate(alpha, 1))
-        assert_close(surface.sag(x, y), expected, 1e-15)
-
-
-def test_normal_is_the_gradient_of_the_sag():
-    """By five-point differences of 1e-3 mm; unit length; towards positive z."""
-    x, y = random_rays(10, 0, height=1.0).x[0], random_rays(10, 0, height=1.0).y[0]
-    for surface in SURFACES:
-        normal = torch.stack(surface.normal(x, y), -1)
-        assert_close(normal.square().sum(-1), 1.0, 1e-15)
-        assert (normal[:, 2] > 0).all()
-        by_x = difference(lambda v: surface.sag(v, y), x, 1e-3).diagonal()  # noqa: B023
-        by_y = difference(lambda v: surface.sag(x, v), y, 1e-3).diagonal()  # noqa: B023
-        assert_close(normal[:, :2] / normal[:, 2:], -torch.stack([by_x, by_y], -1), 1e-10)
 
 
 def test_rays_meet_the_surface_on_their_line():

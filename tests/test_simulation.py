@@ -92,30 +92,18 @@ def traced_from_every_pixel(lens, view, image: Tensor, pitch: float, lit: tuple[
 
 @pytest.mark.parametrize(
     "lit",
-    [(slice(44, 52), slice(60, 68)), (slice(44, 52), slice(120, 128)), (slice(0, 8), slice(0, 8))],
-    ids=["centre", "edge", "corner"],
+    [(slice(66, 74), slice(86, 94)), (slice(44, 52), slice(120, 128)), (slice(0, 8), slice(0, 8))],
+    ids=["between nodes", "edge", "corner"],
 )
 def test_a_capture_is_that_of_psfs_traced_from_every_pixel(traced, lit):
-    """Within 1 % of what the lens does to the image, RMS, at centre, edge and corner."""
+    """Within 1 % of what the lens does to the image, RMS, at edge, corner and between nodes; no light is lost."""
     lens, view = blurred()
     image = torch.zeros(3, *SHAPE)
     image[(slice(None), *lit)] = noise((8, 8), seed=1)
     expected = traced_from_every_pixel(lens, view, image, pitch_on_sensor(lens, view, SHAPE), lit)
-    error = (blend(image, traced) - expected).square().mean().sqrt()
-    assert error < 0.01 * (expected - image).square().mean().sqrt()
-
-
-def test_a_star_shows_the_psf_of_its_field_and_keeps_its_light(traced):
-    """Between nodes too: within 2 % of the PSF's norm, which has the noise of rays."""
-    lens, view = blurred()
-    pitch = pitch_on_sensor(lens, view, SHAPE)
-    for row, column in ((70, 90), (93, 125)):
-        star = torch.zeros(3, *SHAPE)
-        star[:, row, column] = 1
-        capture = blend(star, traced)
-        expected = traced_from_every_pixel(lens, view, star, pitch, (slice(row, row + 1), slice(column, column + 1)))
-        assert (capture - expected).norm() < 0.02 * expected.norm()
-        torch.testing.assert_close(capture.sum((-2, -1)), torch.ones(3), rtol=1e-5, atol=0)
+    capture = blend(image, traced)
+    assert (capture - expected).norm() < 0.01 * (expected - image).norm()
+    torch.testing.assert_close(capture.sum((1, 2)), image.sum((1, 2)), rtol=1e-5, atol=0)
 
 
 def with_halo(shape: tuple[int, int], seed: int) -> SensorPsfs:
@@ -198,8 +186,8 @@ def test_an_aperture_that_stops_the_chief_ray_darkens_the_corner():
     lens = replace(lens, semi_diameter=semi_diameter)
     rays = trace_fields(lens, view, sobol_disc(256, 0))
     assert not bool(chief_rays(lens, view).valid[-1]) and 0.05 < float(rays.valid[-1].double().mean()) < 0.6
-    grey = tasklens.simulate_whole_sensor(lens, view, torch.full((3, *SHAPE), 0.5), rays=256, illumination=True)
-    assert grey.isfinite().all() and float(grey[1, 1, 1]) < float(grey[1, 48, 64])
+    grey = tasklens.simulate_whole_sensor(lens, view, torch.full((3, 48, 64), 0.5), rays=64, illumination=True)
+    assert grey.isfinite().all() and float(grey[1, 1, 1]) < float(grey[1, 24, 32])
 
 
 @pytest.mark.slow

@@ -165,7 +165,9 @@ def test_other_values_on_meta():
         lambda: tasklens.trace(LENS, VIEW, pupil=torch.zeros(3, 2, device="meta")),
         lambda: tasklens.PsfCamera(PSFS.to("meta"))(IMAGE[None], [0]),
         lambda: tasklens.Camera(LENS, VIEW, rays=16).to("meta")(IMAGE[None]),
-        lambda: tasklens.rank({"mine": (LENS, VIEW)}, PAIRS, nn.Linear(4800, 3, device="meta")),
+        lambda: tasklens.rank(
+            {"mine": (LENS, VIEW)}, PAIRS, nn.Sequential(nn.Flatten(), nn.Linear(4800, 3, device="meta"))
+        ),
         lambda: tasklens.rank({"mine": (LENS, VIEW)}, [(IMAGE.to("meta"), 0)], NETWORK),
     ):
         assert_one_line(call, r"without values \(device meta\)")

@@ -10,9 +10,7 @@ from examples import random_images, trained_network
 from PIL import Image
 
 import tasklens
-from tasklens.api.design import verdict
 from tasklens.cli.app import main
-from tasklens.design.single import BASELINES, LensRequest, designs
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.study.run import screening
 
@@ -43,7 +41,6 @@ IMAGES = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0))
 DOORS = {
     "psf": lambda pair: tasklens.psf(*pair, rays=64),
     "simulate": lambda pair: tasklens.simulate(*pair, IMAGES, rays=64),
-    "one field": lambda pair: tasklens.simulate(*pair, IMAGES, [(0, 0)], rays=64),
     "camera": lambda pair: tasklens.Camera(*pair, rays=64),
     "rank": lambda pair: tasklens.rank({"mine": pair}, random_images(40, 16, 3, seed=2), trained_network(0), rays=64),
 }
@@ -70,15 +67,8 @@ def test_a_camera_warns_once_when_training_loses_the_light(narrow):
 
 
 def test_a_design_says_so(narrow, few_rays):
-    settings = {"descents": {"0": {"steps": 1}}, "rays": 16}
     with pytest.warns(UserWarning, match=f"design_lens: the {WORDS}"):
-        tasklens.design_lens("spot", start=narrow, settings=settings)
-    images, network = random_images(40, 16, 3, seed=2), trained_network(0)
-    settings = settings | {"batch_size": 2}
-    request = LensRequest("task", start=narrow, images=images, network=network, settings=settings)
-    result = designs(request, baselines=BASELINES)
-    with pytest.warns(UserWarning, match=f"rank: task: the {WORDS}"):
-        verdict(result, images)
+        tasklens.design_lens("spot", start=narrow, settings={"descents": {"0": {"steps": 1}}, "rays": 16})
 
 
 def test_commands_say_so_in_a_line(files, capsys):

@@ -7,12 +7,14 @@ import pytest
 import torch
 import yaml
 from examples import f64, make_lens, materials
+from prescriptions import same_bits
 
 from tasklens.materials import catalogues
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import FIELDS, Prescription
 from tasklens.optics.io.stop import stop_radius
+from tasklens.optics.lens import Lens
 from tasklens.runtime.files import FileError
 
 MINE = Material("MINE", "conrady", (1.5, 0.01, 0.002), (0.4, 0.8), "maker")
@@ -53,9 +55,9 @@ def random_prescription(seed: int) -> Prescription:
     )
 
 
-def without_source(material: Material) -> Material:
-    """A material without its source, which a catalogue does not hold."""
-    return replace(material, source="")
+def without_sources(lens: Lens) -> Lens:
+    """The lens without the sources of its materials, which a catalogue does not hold."""
+    return replace(lens, media=tuple(replace(medium, source="") for medium in lens.media))
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -65,11 +67,7 @@ def test_round_trip_keeps_every_bit(tmp_path, seed):
     zemax.write(tmp_path / "lens.zmx", original)
     copy = zemax.read(tmp_path / "lens.zmx", [tmp_path / "mine.yaml"])
     assert replace(copy, lens=None) == replace(original, lens=None)
-    assert [without_source(m) for m in copy.lens.media] == [without_source(m) for m in original.lens.media]
-    assert copy.lens.stop == original.lens.stop
-    for name in ("curvature", "conic", "alpha", "thickness", "semi_diameter"):
-        a, b = getattr(copy.lens, name), getattr(original.lens, name)
-        assert torch.equal(a.view(torch.int64), b.view(torch.int64)), name
+    assert same_bits(without_sources(copy.lens), without_sources(original.lens))
 
 
 def test_a_written_file_has_what_opticstudio_looks_for(tmp_path):
