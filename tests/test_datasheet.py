@@ -8,7 +8,7 @@ import torch
 from examples import cooke_triplet, f64, lens_and_view, make_lens, materials
 
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
-from tasklens.optics.analysis.datasheet import figures, seidel_by_surface, spec_of, view_of
+from tasklens.optics.analysis.datasheet import figures, seidel_by_surface
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
@@ -17,6 +17,7 @@ from tasklens.optics.analysis.spots import centroid, chief_points, evaluation_ps
 from tasklens.optics.analysis.tail import tail
 from tasklens.optics.analysis.wavefront import path_differences, rms_wavefront_error
 from tasklens.optics.io import prescription
+from tasklens.optics.io.spec_section import spec_of, view_of
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError

@@ -12,6 +12,7 @@ from tasklens.cli.app import main
 from tasklens.design import from_lens
 from tasklens.design.constraints import BUFFER, all_margins, manufacturing_margins, spaces
 from tasklens.design.ray_space import RaySpace
+from tasklens.design.variables import free_surfaces
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.io import lens_files, zemax
@@ -96,16 +97,16 @@ def test_variables_that_are_free_by_default():
     """Curvatures and distances, except of plane plates; aspheric coefficients only of aspheres or on request."""
     lens = cooke_triplet()
     bent, moving = (0, 1, 2, 3, 5, 6), (0, 1, 2, 3, 5, 6, 8)
-    assert from_lens.free_surfaces(lens, None) == {
+    assert free_surfaces(lens, None) == {
         "curvature": bent, "thickness": moving, "alpha_4": (), "alpha_6": (), "alpha_8": (), "alpha_10": (),
     }  # fmt: skip
-    assert from_lens.free_surfaces(lens, {"alpha_4": None}) == {"alpha_4": bent}
+    assert free_surfaces(lens, {"alpha_4": None}) == {"alpha_4": bent}
     alpha = torch.zeros(9, 2, dtype=torch.float64)
     alpha[6, 1] = 1e-6
-    assert from_lens.free_surfaces(replace(lens, alpha=alpha), None)["alpha_6"] == (6,)
+    assert free_surfaces(replace(lens, alpha=alpha), None)["alpha_6"] == (6,)
     for free, words in (({"radius": [0]}, "unknown variable 'radius'"), ({"alpha_4": []}, "at least one variable")):
         with pytest.raises(InputError, match=words):
-            from_lens.free_surfaces(lens, free)
+            free_surfaces(lens, free)
 
 
 def test_limits_give_way_to_the_lens(triplet):

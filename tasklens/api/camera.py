@@ -8,9 +8,9 @@ from torch import Tensor, nn
 
 from tasklens.api.captures import check_light
 from tasklens.camera.imaging import PsfCamera, check_capture, check_images, field_indices
-from tasklens.design import from_lens
 from tasklens.design.constraints import penalty
-from tasklens.design.variables import Variables, with_coefficients
+from tasklens.design.from_lens import own_limits
+from tasklens.design.variables import Variables, free_surfaces, with_coefficients
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.pupil import check_rays
 from tasklens.optics.analysis.spots import evaluation_psf
@@ -77,16 +77,16 @@ class Camera(nn.Module):
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor
         start = with_coefficients(lens.detached())
         self._variables = Variables.normalised(start, self.view)
-        free_surfaces = {} if free is not None and not free else from_lens.free_surfaces(start, free)
-        self._variables.free(free_surfaces)  # checks the surfaces
+        surfaces_of = {} if free is not None and not free else free_surfaces(start, free)
+        self._variables.free(surfaces_of)  # checks the surfaces
         refracting = list(start.refracting_surfaces)
         radius = self._variables.radius[refracting]
         scales = {"curvature": radius, "thickness": torch.full_like(radius, 1 / view.efl)}
-        self.limits, _ = from_lens.own_limits(start, self.view, Constraints(), set())
+        self.limits, _ = own_limits(start, self.view, Constraints(), set())
         self._scales, self._free = {}, {}
         self.variables = nn.ParameterDict()
         for name, values in self._variables.values().items():
-            if surfaces := free_surfaces.get(name):
+            if surfaces := surfaces_of.get(name):
                 self._scales[name] = scales.get(name, torch.ones_like(values))
                 self._free[name] = torch.tensor([surface in surfaces for surface in refracting])
                 self.variables[name] = nn.Parameter(torch.zeros_like(values))

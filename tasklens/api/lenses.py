@@ -13,13 +13,15 @@ from torch import Tensor
 
 from tasklens.materials.catalogues import is_ours
 from tasklens.materials.library import Library, user_files
-from tasklens.optics.analysis.datasheet import figures, spec_of
+from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import evaluation_psf, light_remarks, trace_fields
 from tasklens.optics.io import lens_files
+from tasklens.optics.io.lens_specs import check_distance, derive_specification
 from tasklens.optics.io.prescription import Prescription, with_system_data
+from tasklens.optics.io.spec_section import spec_of
 from tasklens.optics.io.typed import prescription_of
 from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.lens import Lens
@@ -77,9 +79,9 @@ def load_lens(
     file = lens_files.read(
         as_path(path, "path"),
         files,
-        object_distance_mm,
         configuration,
-        wavelengths_um,
+        object_distance_mm=object_distance_mm,
+        wavelengths_um=wavelengths_um,
         field_of_view_deg=field_of_view_deg,
         f_number=f_number,
         pixel_pitch_um=pixel_pitch_um,
@@ -131,7 +133,7 @@ def lens(
         ...     f_number=4,
         ... )
     """
-    lens_files.check_distance(object_distance_mm)
+    check_distance(object_distance_mm)
     if not isinstance(wavelengths_um, Iterable):
         raise InputError(f"wavelengths_um: expected a list, got {wavelengths_um!r}")
     colours = tuple(positive(value, "wavelengths_um") for value in wavelengths_um)
@@ -141,7 +143,7 @@ def lens(
     prescription = prescription_of(surfaces, f_number, library, colours[len(colours) // 2])
     prescription = replace(prescription, object_distance_mm=float(object_distance_mm))
     changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
-    file = lens_files.derive_specification(prescription, changes, colours, 1 / object_distance_mm)
+    file = derive_specification(prescription, changes, colours, 1 / object_distance_mm)
     if "thickness" not in surfaces[-1]:
         check_focal_length(file.lens, file.view.reference_um, "the last thickness is missing, and a focus needs")
         file = replace(file, lens=refocus(file.lens, file.view))

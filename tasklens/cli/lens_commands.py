@@ -176,6 +176,7 @@ def export(
     """Convert a lens between YAML and Zemax."""
     from tasklens.materials.library import user_files
     from tasklens.optics.io import lens_files, prescription
+    from tasklens.optics.io.lens_specs import without_figures
     from tasklens.optics.io.zemax_glasses import NamedGlasses
 
     new_file(output, force, ".zmx", ".yaml", ".yml")
@@ -188,7 +189,7 @@ def export(
             if "spec" in content:
                 diagonal = 2 * float(view.radii.max())
                 spec = {"fields_mm": view.fields.tolist(), "field_of_view_deg": field_of_view, "diagonal_mm": diagonal}
-                content = lens_files.without_figures(content) | {"spec": content["spec"] | spec}
+                content = without_figures(content) | {"spec": content["spec"] | spec}
         lens_data = prescription.with_system_data(lens_data, view)
     else:
         for remark in lens_data.remarks:

@@ -75,9 +75,9 @@ def reader(
         file = lens_files.read(
             path,
             files,
-            object_distance,
             configuration,
-            colours,
+            object_distance_mm=object_distance,
+            wavelengths_um=colours,
             field_of_view_deg=field_of_view,
             f_number=f_number,
             pixel_pitch_um=pixel_pitch,

@@ -4,6 +4,7 @@ import math
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from tasklens.design import chain
@@ -11,11 +12,14 @@ from tasklens.design.chain import Designs
 from tasklens.design.constraints import BUFFER, buffer_scale, limit_margins
 from tasklens.design.merit import limit_semi_diameters
 from tasklens.design.supervision import OF_SETTINGS, Supervision
-from tasklens.design.variables import ORDERS
-from tasklens.materials.material import AIR
+from tasklens.design.variables import ORDERS, free_surfaces
 from tasklens.optics.analysis.paraxial import check_focal_length, paraxial
 from tasklens.optics.analysis.spots import has_light
+from tasklens.optics.io import lens_files, prescription
 from tasklens.optics.io.lens_files import LensFile
+from tasklens.optics.io.lens_specs import specified
+from tasklens.optics.io.prescription import Prescription, with_system_data
+from tasklens.optics.io.spec_section import spec_of
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
@@ -112,6 +116,39 @@ def design(
     return replace(result, view=view, prescription=file.prescription)
 
 
+def read_start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> LensFile:
+    """Return the lens that a design starts from: a file, or a lens and its view; raises InputError."""
+    if isinstance(start, str | Path):
+        return lens_files.read(Path(start), catalogues, **spec)
+    if not (isinstance(start, tuple) and [type(part) for part in start] == [Lens, View]):
+        raise InputError("start: expected the path of a lens file, or a lens and its view, such as `load_lens` returns")
+    if "configuration" in spec:
+        raise InputError("configuration: only for the file of a zoom lens; a lens in Python has one")
+    lens, view = start
+    if bad := lens.not_finite:
+        raise InputError(f"start: {bad} of the lens is not finite")
+    if lens.pose is not None or lens.melt is not None:
+        raise InputError("start: designs need a nominal lens; remove `pose` and `melt`")
+    section = {"spec": spec_of(view)}
+    content = prescription.to_dict(with_system_data(Prescription(lens.detached()), view)) | section
+    return specified(prescription.from_dict(content, "start"), section, "start", **spec)
+
+
+def prescription_of(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
+    """Return `source` with the designed lens, without data that the keywords `changed` replace."""
+    if changed & {"field_of_view_deg", "object_distance_mm"}:
+        source = replace(source, fields=None)
+    if "wavelengths_um" in changed:
+        source = replace(source, wavelengths_um=None, primary=None)
+    data = with_system_data(replace(source, lens=lens, object_distance_mm=math.inf), view)
+    if data.aperture is None or data.wavelengths_um is None:
+        return data
+    first_order = paraxial(lens, data.wavelengths_um[data.primary or 0])
+    kind = data.aperture[0]
+    value = first_order.f_number if kind == "f_number" else 2 * first_order.entrance_pupil_radius
+    return replace(data, aperture=(kind, float(value)))
+
+
 def _constraints(method: str, settings: Mapping[str, Any], constraints: Mapping[str, Any]) -> Constraints:
     """Return the limits of a user; raises InputError for one, or for settings, that belong to other starts."""
     if method == "least_squares":
@@ -133,41 +170,6 @@ def _fixed_coefficients(lens: Lens, free: Mapping[str, Sequence[int]]) -> str:
         2 * k for k in range(ORDERS[-1] // 2 + 1, lens.alpha.shape[1] + 1) if lens.alpha[[*aspheres], k - 1].any()
     ]
     return f"asphere coefficients of r^{', r^'.join(map(str, orders))} are fixed" if orders else ""
-
-
-def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:
-    """Return free variables with their surfaces.
-
-    Args:
-        lens: the lens.
-        free: surfaces by variable. None for the surfaces of a variable selects all that bend light; for thicknesses,
-            all but those of plane plates. None for `free` selects curvatures, distances, and the coefficients of
-            aspheres.
-
-    Raises:
-        InputError: a variable is unknown, or none is free.
-    """
-    refracting = lens.refracting_surfaces
-    curved_surfaces = tuple(i for i in refracting if lens.curvature[i] or lens.alpha[i].any())
-    thickness_surfaces = tuple(
-        i for i in refracting if i in curved_surfaces or i + 1 in curved_surfaces or lens.media[i] == AIR
-    )
-    defaults = {
-        "curvature": curved_surfaces,
-        "thickness": thickness_surfaces,
-        **{f"alpha_{order}": curved_surfaces for order in ORDERS},
-    }
-    if free is None:
-        aspheres = tuple(i for i in curved_surfaces if lens.alpha[i].any() or lens.conic[i])
-        return defaults | {f"alpha_{order}": aspheres for order in ORDERS}
-    if not isinstance(free, Mapping) or any(isinstance(surfaces, int | str) for surfaces in free.values()):
-        raise InputError(f"free: expected surfaces by variable, such as {{'curvature': [1, 2]}}, got {free!r}")
-    if unknown_names := [name for name in free if name not in defaults]:
-        raise InputError(f"free: unknown variable {unknown_names[0]!r}; expected some of {', '.join(defaults)}")
-    variables = {name: defaults[name] if surfaces is None else tuple(surfaces) for name, surfaces in free.items()}
-    if not any(variables.values()):
-        raise InputError("free: expected at least one variable of one surface")
-    return variables
 
 
 def own_limits(lens: Lens, view: View, limits: Constraints, fixed_names: set[str]) -> tuple[Constraints, str]:

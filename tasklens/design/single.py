@@ -1,7 +1,5 @@
 """Design of one lens without a study."""
 
-import math
-import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,11 +12,6 @@ from tasklens.design import chain, from_lens
 from tasklens.design.chain import Designs
 from tasklens.design.supervision import Loss, Supervision, UserTask
 from tasklens.materials.library import user_files
-from tasklens.optics.analysis.datasheet import spec_of
-from tasklens.optics.analysis.paraxial import paraxial
-from tasklens.optics.io import lens_files
-from tasklens.optics.io.lens_files import LensFile
-from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.recognition import pairs, photographs
@@ -95,12 +88,14 @@ def designs(
         for key, value in {"elements": request.elements, **spec}.items():
             if value is not None and key in _OF_THE_START:
                 raise InputError(f"{key}: not with `start`, whose lens has its own")
-        file = _start(start, [*catalogues, *user_files()], spec)
+        file = from_lens.read_start(start, [*catalogues, *user_files()], spec)
         options = (settings, constraints, images, classifier, request.seed, user, baselines, remark)
         result = from_lens.design(file, method, request.free, *options)
         if isinstance(start, str | Path):
             result.notes["origin"]["start"] = str(Path(start))
-        return replace(result, prescription=_prescription(file.prescription, result.lens, result.view, set(spec)))
+        return replace(
+            result, prescription=from_lens.prescription_of(file.prescription, result.lens, result.view, set(spec))
+        )
     if request.free is not None:
         raise InputError("free: only with `start`, the file of a lens")
     chosen = lens_settings(
@@ -116,36 +111,6 @@ def designs(
         network_given=module is not None,
     )
     return chain.design(chosen.plans(request.seed), chosen.images, user, {})
-
-
-def _start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> LensFile:
-    """Return the lens that a design starts from: a file, or a lens and its view; raises InputError."""
-    if isinstance(start, str | Path):
-        return lens_files.read(Path(start), catalogues, **spec)
-    if not (isinstance(start, tuple) and [type(part) for part in start] == [Lens, View]):
-        raise InputError("start: expected the path of a lens file, or a lens and its view, such as `load_lens` returns")
-    lens, view = start
-    if bad := lens.not_finite:
-        raise InputError(f"start: {bad} of the lens is not finite")
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder, "lens.yaml")
-        lens_files.write(path, with_system_data(Prescription(lens.detached()), view), {"spec": spec_of(view)})
-        return lens_files.read(path, catalogues, **spec)
-
-
-def _prescription(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
-    """Return `source` with the designed lens, without data that the keywords `changed` replace."""
-    if changed & {"field_of_view_deg", "object_distance_mm"}:
-        source = replace(source, fields=None)
-    if "wavelengths_um" in changed:
-        source = replace(source, wavelengths_um=None, primary=None)
-    data = with_system_data(replace(source, lens=lens, object_distance_mm=math.inf), view)
-    if data.aperture is None or data.wavelengths_um is None:
-        return data
-    first_order = paraxial(lens, data.wavelengths_um[data.primary or 0])
-    kind = data.aperture[0]
-    value = first_order.f_number if kind == "f_number" else 2 * first_order.entrance_pupil_radius
-    return replace(data, aperture=(kind, float(value)))
 
 
 def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:

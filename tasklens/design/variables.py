@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from tasklens.materials.material import AIR
 from tasklens.optics.analysis.aiming import stop_is_inside
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.spots import clear_semi_diameters
@@ -110,6 +111,41 @@ class Variables:
             return lens
         value, wavelength = self.f_number
         return lens.with_stop_radius(stop_radius(lens.detached(), ("f_number", value), wavelength))
+
+
+def free_surfaces(lens: Lens, free: Mapping[str, Sequence[int] | None] | None) -> dict[str, tuple[int, ...]]:
+    """Return free variables with their surfaces.
+
+    Args:
+        lens: the lens.
+        free: surfaces by variable. None for the surfaces of a variable selects all that bend light; for thicknesses,
+            all but those of plane plates. None for `free` selects curvatures, distances, and the coefficients of
+            aspheres.
+
+    Raises:
+        InputError: a variable is unknown, or none is free.
+    """
+    refracting = lens.refracting_surfaces
+    curved_surfaces = tuple(i for i in refracting if lens.curvature[i] or lens.alpha[i].any())
+    thickness_surfaces = tuple(
+        i for i in refracting if i in curved_surfaces or i + 1 in curved_surfaces or lens.media[i] == AIR
+    )
+    defaults = {
+        "curvature": curved_surfaces,
+        "thickness": thickness_surfaces,
+        **{f"alpha_{order}": curved_surfaces for order in ORDERS},
+    }
+    if free is None:
+        aspheres = tuple(i for i in curved_surfaces if lens.alpha[i].any() or lens.conic[i])
+        return defaults | {f"alpha_{order}": aspheres for order in ORDERS}
+    if not isinstance(free, Mapping) or any(isinstance(surfaces, int | str) for surfaces in free.values()):
+        raise InputError(f"free: expected surfaces by variable, such as {{'curvature': [1, 2]}}, got {free!r}")
+    if unknown_names := [name for name in free if name not in defaults]:
+        raise InputError(f"free: unknown variable {unknown_names[0]!r}; expected some of {', '.join(defaults)}")
+    variables = {name: defaults[name] if surfaces is None else tuple(surfaces) for name, surfaces in free.items()}
+    if not any(variables.values()):
+        raise InputError("free: expected at least one variable of one surface")
+    return variables
 
 
 def with_coefficients(lens: Lens) -> Lens:

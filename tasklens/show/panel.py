@@ -14,6 +14,7 @@ from tasklens.optics.analysis import datasheet
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, evaluation_psf, lit_semi_diameters, trace_fields
 from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.io.spec_section import view_of
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
@@ -68,7 +69,7 @@ class Panel:
     def read(cls, title: str, path: Path, psf: Path) -> "Panel":
         """Read the panel of a lens from the files of the lens and its PSFs; raises FileError."""
         prescribed, content = prescription.read(path)
-        view = datasheet.view_of(prescribed.lens, content, str(path))
+        view = view_of(prescribed.lens, content, str(path))
         return cls.of(title, prescribed.lens, view, psf_files.read(psf, "nine").psf, content["figures"])
 
     @classmethod

@@ -1,7 +1,5 @@
 """Optical figures of a lens as plain numbers, for its file and its table."""
 
-from typing import Any
-
 import torch
 
 from tasklens.optics.analysis.aberrations import field_curvature, seidel_sums
@@ -24,73 +22,6 @@ from tasklens.optics.analysis.wavefront import path_differences, rms_wavefront_e
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, passing
 from tasklens.optics.view import View
-from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError, number, positive
-
-
-def view_of(lens: Lens, content: dict, name: str) -> View:
-    """Return the view described by the `spec` of a lens file.
-
-    Raises:
-        FileError: the spec is absent or invalid, the stop has no radius, or a medium has no index at a wavelength;
-            `name` begins the message.
-    """
-    spec = content.get("spec")
-    if not isinstance(spec, dict):
-        raise FileError(f"{name}: has no spec (fields_mm, efl_mm, wavelengths_um, pixel_pitch_um, kernel_size)")
-    near = spec.get("object_distance_mm")
-    try:
-        view = View(
-            torch.tensor(_fields(spec["fields_mm"]), dtype=torch.float64).reshape(-1, 2),
-            positive(spec["efl_mm"], "efl_mm"),
-            tuple(positive(value, "wavelengths_um") for value in _list(spec["wavelengths_um"], "wavelengths_um")),
-            positive(spec["pixel_pitch_um"], "pixel_pitch_um"),
-            _odd(spec["kernel_size"], "kernel_size"),
-            1 / positive(near, "object_distance_mm") if near is not None else 0.0,
-        )
-        lens.refractive_indices(view.wavelengths_um)
-    except KeyError as error:
-        raise FileError(f"{name}: its spec has no {error.args[0]}") from error
-    except InputError as error:
-        raise FileError(f"{name}: its spec cannot be used: {error}") from error
-    if not len(view.fields) or not view.wavelengths_um:
-        raise FileError(f"{name}: its spec has no fields or no wavelengths")
-    try:
-        check_stop(lens)
-    except InputError as error:
-        raise FileError(f"{name}: {error}") from error
-    return view
-
-
-def spec_of(view: View) -> dict[str, Any]:
-    """Return the `spec` of a lens file for a view; the object distance is in the prescription."""
-    return {
-        "fields_mm": view.fields.tolist(),
-        "efl_mm": view.efl,
-        "wavelengths_um": list(view.wavelengths_um),
-        "pixel_pitch_um": view.pixel_pitch_um,
-        "kernel_size": view.kernel_size,
-    }
-
-
-def _fields(value: Any) -> list[list[float]]:
-    points = _list(value, "fields_mm")
-    if not all(isinstance(point, list) and len(point) == 2 for point in points):
-        raise InputError(f"fields_mm: expected a list of [x, y], found {value!r}; correct it")
-    return [[number(v, "fields_mm") for v in point] for point in points]
-
-
-def _list(value: Any, key: str) -> list:
-    if not isinstance(value, list):
-        raise InputError(f"{key}: expected a list, found {value!r}; correct it")
-    return value
-
-
-def _odd(value: Any, key: str) -> int:
-    size = number(value, key)
-    if not (size >= 3 and size % 2 == 1):
-        raise InputError(f"{key}: expected an odd number of pixels, at least 3, found {value!r}; correct it")
-    return int(size)
 
 
 def figures(lens: Lens, view: View, rays: int) -> dict:

@@ -3,10 +3,11 @@
 from dataclasses import replace
 from pathlib import Path
 
-from tasklens.optics.analysis.datasheet import seidel_by_surface, view_of
+from tasklens.optics.analysis.datasheet import seidel_by_surface
 from tasklens.optics.analysis.shapes import shapes
 from tasklens.optics.io import prescription
 from tasklens.optics.io import zemax as zemax_files
+from tasklens.optics.io.spec_section import view_of
 from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.runtime.files import write_text

@@ -15,8 +15,8 @@ from tasklens.camera.blend import capture
 from tasklens.camera.imaging import PsfCamera
 from tasklens.camera.resolution_chart import resolution_chart
 from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
-from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.io import prescription, psf_files
+from tasklens.optics.io.spec_section import view_of
 from tasklens.optics.view import View
 from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset

@@ -6,8 +6,8 @@ from pathlib import Path
 import pandas
 from scipy.stats import spearmanr
 
-from tasklens.optics.analysis.datasheet import view_of
 from tasklens.optics.io import prescription
+from tasklens.optics.io.spec_section import view_of
 from tasklens.recognition.metrics import mean_metrics
 from tasklens.runtime.files import read_table, write_text
 from tasklens.settings.names import SHARP
