@@ -11,14 +11,6 @@ import torch
 from tasklens.runtime import files
 
 
-def test_a_file_is_written_whole(tmp_path):
-    path = tmp_path / "deep" / "file.txt"
-    files.write_text(path, "first")
-    files.write_text(path, "second")
-    assert path.read_text() == "second"
-    assert list(path.parent.iterdir()) == [path]
-
-
 def test_tables_are_utf_8_in_every_locale(tmp_path):
     code = (
         "import sys, pathlib; from tasklens.runtime import files\n"
@@ -106,7 +98,5 @@ def test_a_damaged_file_of_tensors_is_named(tmp_path, keep):
     path = tmp_path / "t.safetensors"
     files.write_tensors(path, {"a": torch.ones(3)}, {})
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(
-        files.FileError, match=r"t\.safetensors: not a complete file of tensors .*; delete it and run again"
-    ):
+    with pytest.raises(files.FileError, match=r"t\.safetensors: not a complete file of .*; delete it and run again"):
         files.read_tensors(path)

