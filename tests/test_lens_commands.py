@@ -15,6 +15,7 @@ from PIL import Image
 import tasklens
 from tasklens.cli.app import main
 from tasklens.optics.io import lens_files, prescription
+from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import read_tensors
 
 REPOSITORY = Path(__file__).parents[1]
@@ -104,14 +105,14 @@ def test_options_are_in_place_of_the_files_specification(capsys):
     assert narrow["fields"]["angle_deg"][-1] == pytest.approx(10, abs=1e-9)
 
 
-@pytest.mark.parametrize("focus", ["file", "mtf", "spot", -12.5])
-def test_python_focuses_as_the_command_does(focus, capsys):
-    lens, _ = tasklens.load_lens(DOUBLET, focus=focus)
+def test_python_focuses_as_the_command_does(capsys):
     own, _ = tasklens.load_lens(DOUBLET)
-    shift = float(lens.thickness[-1] - own.thickness[-1])
-    analyses = [json_of(capsys, "analyse", DOUBLET, *FEW, "--focus", word) for word in (focus, "file")]
-    assert analyses[0]["image_distance_mm"] - analyses[1]["image_distance_mm"] == pytest.approx(shift, abs=1e-12)
-    assert (shift == 0) == (focus == "file") and (shift == pytest.approx(-0.0125)) == (focus == -12.5)
+    own_distance = json_of(capsys, "analyse", DOUBLET, *FEW)["image_distance_mm"]
+    for focus in ("file", "mtf", "spot", -12.5):
+        shift = float(tasklens.load_lens(DOUBLET, focus=focus)[0].thickness[-1] - own.thickness[-1])
+        distance = json_of(capsys, "analyse", DOUBLET, *FEW, "--focus", focus)["image_distance_mm"]
+        assert distance - own_distance == pytest.approx(shift, abs=1e-12)
+        assert (shift == 0) == (focus == "file") and (shift == pytest.approx(-0.0125)) == (focus == -12.5)
 
 
 def test_another_object_distance_refocuses(capsys):
@@ -159,14 +160,6 @@ def test_compare_fits_a_terminal(capsys):
         assert row["worst_margin"] == yaml.safe_load(path.read_text())["worst_margin"]
 
 
-def test_margins_are_those_of_the_file_alone(capsys):
-    """Another field of view or focus has other margins, which are not known."""
-    lens = PUBLISHED / "doublet-tasklens.yaml"
-    assert "worst margin" in output_of(capsys, "show", lens, *FEW)
-    for option in (("--field-of-view", "60"), ("--focus", "20"), ("--f-number", "3.2")):
-        assert "margin" not in output_of(capsys, "show", lens, *option, *FEW)
-
-
 @pytest.mark.slow
 def test_lenses_of_one_name_are_told_apart(folder, capsys):
     text = output_of(capsys, "compare", DOUBLET, SAME, *FEW)
@@ -181,10 +174,13 @@ def test_lenses_of_one_name_are_told_apart(folder, capsys):
 
 
 def test_analyse_lists_the_margins_of_a_design(capsys):
-    """Of the lens as in the file; they do not hold once it is refocused."""
+    """Of the lens as in the file; margins with another field of view, focus or F-number are not known."""
     assert "max slope |" in output_of(capsys, "analyse", DOUBLET, *FEW)
     assert min(json_of(capsys, "analyse", DOUBLET, *FEW)["margins"].values()) >= 0
     assert "max slope" not in output_of(capsys, "analyse", DOUBLET, *FEW, "--focus", 10)
+    assert "worst margin" in output_of(capsys, "show", DOUBLET, *FEW)
+    for option in (("--field-of-view", "60"), ("--f-number", "3.2")):
+        assert "margin" not in output_of(capsys, "show", DOUBLET, *option, *FEW)
 
 
 def test_analyse_has_the_seidel_sums_by_surface(capsys):
@@ -192,12 +188,8 @@ def test_analyse_has_the_seidel_sums_by_surface(capsys):
     for name, total in analysis["seidel_um"].items():
         assert sum(analysis["seidel_by_surface_um"][name]) == pytest.approx(total, rel=1e-9, abs=1e-9)
     text = output_of(capsys, "analyse", PHONE, *FEW)
-    assert (
-        text.startswith(f"# {PHONE}")
-        and f"{analysis['efl_mm']:.4f}" in text
-        and "EE50 [um]" in text
-        and max(map(len, text.splitlines())) <= 120
-    )
+    assert text.startswith(f"# {PHONE}") and f"{analysis['efl_mm']:.4f}" in text and "EE50 [um]" in text
+    assert max(map(len, text.splitlines())) <= 120
 
 
 # ---- files
@@ -279,8 +271,6 @@ def bad_lenses(folder: Path) -> None:
     content = yaml.safe_load(DOUBLET.read_text())
     (folder / "bare.yaml").write_text(yaml.safe_dump({key: content[key] for key in content if key != "spec"}))
     (folder / "broken.yaml").write_text("format: 2\nsurfaces: [1, {")
-    (folder / "bytes.yaml").write_bytes(bytes(range(256)))
-    (folder / "other.yaml").write_text("name: me\n")
     (folder / "glass.zmx").write_text(re.sub("GLAS OKP4 .*", "GLAS NOSUCH", SAME.read_text()))
     (folder / "text.zmx").write_text("hello\n")
     (folder / "folder.yaml").mkdir()
@@ -289,53 +279,23 @@ def bad_lenses(folder: Path) -> None:
 
 SIMULATE = ("-o", "capture.png", *FEW)
 MISTAKES = [
-    (("show", "absent.yaml"), "absent.yaml: no such file or directory"),
     (("show", "folder.yaml"), "folder.yaml: is a folder; expected a file"),
     (("show", "broken.yaml"), "broken.yaml, line 2, column 16: not valid YAML: expected the node content"),
-    (("analyse", "bytes.yaml"), "bytes.yaml, line 2: not valid YAML: the text is not UTF-8; save it as UTF-8"),
-    (
-        ("show", "other.yaml"),
-        "other.yaml: not a lens: expected a lens file with format, units, surfaces, stop, materials",
-    ),
     (("show", "image.png"), "image.png: expected a lens file, .yaml or .zmx"),
-    (
-        ("compare", DOUBLET, "bare.yaml"),
-        "bare.yaml: has neither a spec nor fields; give the full field of view in degrees: --field-of-view, in Python "
-        "field_of_view_deg",
-    ),
-    (
-        ("show", "glass.zmx"),
-        "glass.zmx, line 77: GLAS: unknown glass 'NOSUCH' in the built-in plastics and the catalogues SCHOTT, OHARA, "
-        "HOYA, HIKARI, CDGM, SUMITA",
-    ),
+    (("compare", DOUBLET, "bare.yaml"), "bare.yaml: has neither a spec nor fields; give the full field of view in deg"),
+    (("show", "glass.zmx"), "glass.zmx, line 77: GLAS: unknown glass 'NOSUCH' in the built-in plastics and the catal"),
     (("show", SAME, "--catalogue", "absent.agf"), "absent.agf: no such file or directory"),
     (("show", "text.zmx"), "text.zmx, line 1: hello: unknown keyword (with ''), which may change rays; delete"),
-    (("show", DOUBLET, "--kernel-size", "50"), "kernel_size = 50: expected an odd number, so that the PSF has a"),
-    (
-        ("show", DOUBLET, "--focus", "nan"),
-        "focus nan (--focus): expected micrometres, such as -10, or file, mtf or spot",
-    ),
-    (("show", DOUBLET, "--f-number", "-2"), "f_number = -2.0: expected greater than or equal to 0.5"),
+    (("show", DOUBLET, "--focus", "nan"), "focus nan (--focus): expected micrometres, such as -10, or file, mtf or"),
     (("show", SAME, "--wavelengths", "2.4,0.6,0.5"), "COC: wavelength 2.4 um is outside the fitted range 0.334 to"),
     (("show", PHONE, "--wavelengths", "0.5,red"), "wavelengths_um: expected a number, found 'red'"),
     (("show", DOUBLET, "--configuration", "2"), "expected a configuration 1 .. 1, got 2 (--configuration)"),
-    (("draw", DOUBLET, "-o", "lens.gif"), "lens.gif: expected a name that ends in .png or .svg or .pdf"),
-    (("psf", DOUBLET, "-o", "psf"), "psf: expected a name that ends in .npz or .safetensors or .png"),
-    (("export", DOUBLET, "-o", "lens.seq"), "lens.seq: expected a name that ends in .zmx or .yaml or .yml"),
     (
         ("simulate", DOUBLET, "small.png", *SIMULATE),
-        "an image of 30 x 20 pixels is too small for PSFs of 51 pixels: take a larger one, or a smaller kernel_size",
+        "an image of 30 x 20 pixels is too small for PSFs of 51 pixels: ta",
     ),
-    (("show", SAME, "--wavelengths", ""), "wavelengths_um: expected a number, found ''"),
-    (("simulate", DOUBLET, "absent.png", *SIMULATE), "absent.png: no such image"),
-    (
-        ("simulate", DOUBLET, "image.png", *SIMULATE, "--field", "9,9"),
-        "--field 9,9: outside the field, which ends 2.000 mm from the axis",
-    ),
-    (
-        ("simulate", DOUBLET, "image.png", *SIMULATE, "--field", "rim"),
-        "--field rim: expected axis, middle, corner, or X,Y in millimetres such as 0.9,0.5",
-    ),
+    (("simulate", DOUBLET, "image.png", *SIMULATE, "--field", "9,9"), "--field 9,9: outside the field, which ends 2.0"),
+    (("simulate", DOUBLET, "image.png", *SIMULATE, "--field", "rim"), "--field rim: expected axis, middle, corner, or"),
 ]
 
 
@@ -356,21 +316,20 @@ def test_a_wrong_option_or_command(capsys):
     assert run("shaw", DOUBLET) == 2 and "'show'" in capsys.readouterr().err
     assert run("show", DOUBLET, "--f-nunber", "3") == 2 and "--f-number" in capsys.readouterr().err
     assert run("draw", DOUBLET) == 2 and "--output" in capsys.readouterr().err
-    for wrong in (
-        ("simulate", "--full-well", "1e10"),
-        ("simulate", "--full-well", "nan"),
-        ("tolerance", "--seed", 2**64),
-    ):
-        assert run(wrong[0], DOUBLET, *wrong[1:]) == 2 and f"'{wrong[1]}'" in capsys.readouterr().err
+    for command, option, value in (("simulate", "--full-well", "nan"), ("tolerance", "--seed", 2**64)):
+        assert run(command, DOUBLET, option, value) == 2 and f"'{option}'" in capsys.readouterr().err
 
 
 def test_an_export_for_zemax_spares_a_catalogue_of_the_same_name(folder, capsys):
     """A plastic unknown to OpticStudio goes into a catalogue beside the lens; the command reports the catalogue."""
     mine = folder / "out.agf"
     mine.write_text("mine")
-    assert run("export", DOUBLET, "-o", folder / "out.zmx") == 2
+    assert run("export", DOUBLET, "-o", "out.zmx") == 2
     assert "out.agf: already exists" in capsys.readouterr().err and mine.read_text() == "mine"
+    with pytest.raises(InputError, match=r"out\.agf: already exists, and is not ours; choose another name"):
+        tasklens.save_lens("out.zmx", *tasklens.load_lens(DOUBLET))
     assert not (folder / "out.zmx").exists()
-    assert run("export", DOUBLET, "-o", folder / "out.zmx", "--force") == 0
+    assert run("export", DOUBLET, "-o", "out.zmx", "--force") == 0
+    tasklens.save_lens("out.zmx", *tasklens.load_lens(DOUBLET))  # the catalogue is now ours
     messages = capsys.readouterr().err
     assert "out.agf with OKP4" in messages and "Glasscat" in messages and "OKP4" in mine.read_text()
