@@ -129,9 +129,9 @@ def run(arguments: list[str]) -> tuple[int, str]:
 @pytest.mark.parametrize("prepare, says", CASES)
 def test_a_bad_input_is_refused(tmp_path, monkeypatch, capsys, prepare, says):
     monkeypatch.chdir(tmp_path)
-    if prepare.func is study:  # hundreds of these, which only parse
+    if prepare.func in (study, lens, zemax, catalogue):  # hundreds of small texts, which are only parsed
         status, message = main(prepare()), capsys.readouterr().err
-        assert not INNER_WORDS.search(message), message
+        assert prepare.func is not study or not INNER_WORDS.search(message), message
     else:
         status, message = run(prepare())
     assert status == 2, message
