@@ -10,6 +10,7 @@ from types import ModuleType
 
 import pandas
 import pytest
+from examples import write
 from random_answers import PROBABILITY, RandomAnswers, claim
 
 from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_IMAGING1, Claims
@@ -43,19 +44,19 @@ def test_published_intervals_are_those_of_the_published_answers(monkeypatch):
     assert len(list(RESULTS.rglob("*.npz"))) >= 5
 
 
-@pytest.mark.parametrize("column", ["difference", "low", "high"])
-def test_a_changed_interval_is_noticed(tmp_path, column):
+def test_a_changed_interval_is_noticed(tmp_path):
+    """Of three claims, each with another wrong number."""
     for name in ("verdicts.npz", "verdicts.csv"):
         shutil.copy(SMALLEST / name, tmp_path / name)
     assert recompute.table_differences(tmp_path / "verdicts.npz") == []
     table = pandas.read_csv(tmp_path / "verdicts.csv")
-    table.loc[1, column] += 0.01
+    for row, column in enumerate(("difference", "low", "high")):
+        table.loc[row, column] += 0.01
     table.to_csv(tmp_path / "verdicts.csv", index=False)
-    assert len(recompute.table_differences(tmp_path / "verdicts.npz")) == 1
+    assert len(recompute.table_differences(tmp_path / "verdicts.npz")) == 3
 
 
-@pytest.mark.parametrize("column", ["difference", "low", "high"])
-def test_a_changed_comparison_is_noticed(tmp_path, column):
+def test_a_changed_comparison_is_noticed(tmp_path):
     """Of several baselines, the comparison is with the best in minival, as in the published verdict."""
     table = pandas.read_csv(SMALLEST / "verdicts.csv")
     row = table[table["claim"].str.contains("least squares")].iloc[0]
@@ -64,35 +65,28 @@ def test_a_changed_comparison_is_noticed(tmp_path, column):
     shutil.copy(SMALLEST / "verdicts.npz", tmp_path)
     columns = ("lens", "classifier", "difference", "low", "high")
     quoted = pandas.DataFrame([row[[*columns]]]).assign(answers="verdicts.npz", baseline=" ".join(baselines))
-    for change, wrong in ((0, 0), (0.2, 1)):
-        quoted.assign(**{column: quoted[column] + change}).to_csv(tmp_path / "comparisons.csv", index=False)
-        path = tmp_path / "comparisons.csv"
-        assert len(recompute.list_differences(path, recompute.comparisons(path))) == wrong
-    assert len(baselines) > 1
+    path = tmp_path / "comparisons.csv"
+    quoted.to_csv(path, index=False)
+    recomputed = recompute.comparisons(path)
+    assert recompute.list_differences(path, recomputed) == [] and len(baselines) > 1
+    for column in ("difference", "low", "high"):
+        quoted.assign(**{column: quoted[column] + 0.2}).to_csv(path, index=False)
+        assert len(recompute.list_differences(path, recomputed)) == 1
 
 
-def test_a_changed_number_is_noticed(tmp_path):
-    quoted = pandas.read_csv(RESULTS / "numbers.csv").head(1)
-    source = RESULTS / quoted["source"].item()
-    quoted = quoted.assign(source=source.name)
-    shutil.copy(source, tmp_path)
-    for change, wrong in ((0, 0), (0.2, 1)):
-        quoted.assign(value=quoted["value"] + change).to_csv(tmp_path / "numbers.csv", index=False)
-        path = tmp_path / "numbers.csv"
-        assert len(recompute.list_differences(path, recompute.numbers(path))) == wrong
-
-
-def test_the_lists_are_written_anew(tmp_path, monkeypatch, capsys):
-    """A wrong value is corrected, with one decimal."""
+def test_a_changed_number_is_noticed_and_written_anew(tmp_path, monkeypatch, capsys):
+    """With one decimal."""
     (tmp_path / "comparisons.csv").write_text("answers,lens,baseline,classifier,difference,low,high\n")
     published = pandas.read_csv(RESULTS / "numbers.csv").head(1)
     source = RESULTS / published["source"].item()
     shutil.copy(source, tmp_path)
     published = published.assign(source=source.name)
-    published.assign(value=published["value"] + 1).to_csv(tmp_path / "numbers.csv", index=False)
+    published.assign(value=published["value"] + 0.2).to_csv(tmp_path / "numbers.csv", index=False)
     monkeypatch.setattr(recompute, "FOLDER", tmp_path)
+    monkeypatch.setattr("sys.argv", ["recompute.py"])
+    assert recompute.main() == 1 and ": 1 differences" in capsys.readouterr().out
     monkeypatch.setattr("sys.argv", ["recompute.py", "--write"])
-    assert recompute.main() == 0 and "0 differences" in capsys.readouterr().out
+    assert recompute.main() == 0 and ": 0 differences" in capsys.readouterr().out
     assert pandas.read_csv(tmp_path / "numbers.csv")["value"].item() == published["value"].item()
 
 
@@ -165,14 +159,16 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
 
 
 def test_the_published_decomposition_is_that_of_the_published_answers(monkeypatch, tmp_path):
-    """Of photographs here, which take seconds; `decomposition.py --check` compares all studies."""
-    monkeypatch.setattr("sys.argv", ["decomposition.py", "photographs", "--check"])
+    """Of a small study; `decomposition.py --check` compares all of them."""
+    monkeypatch.setattr("sys.argv", ["decomposition.py", "fine_quadruplets", "--check"])
     assert decomposition.main() == 0
     table = pandas.read_csv(RESULTS / "decomposition.csv")
-    assert not decomposition.differs("photographs", table[table["study"] == "photographs"].reset_index(drop=True))
-    table.loc[(table["study"] == "photographs") & table["difference"].notna(), "low"] += 1e-3
-    table = table[table["study"] == "photographs"].reset_index(drop=True)
-    assert decomposition.differs("photographs", table)
+    assert not decomposition.differs(
+        "fine_quadruplets", table[table["study"] == "fine_quadruplets"].reset_index(drop=True)
+    )
+    table.loc[(table["study"] == "fine_quadruplets") & table["difference"].notna(), "low"] += 1e-3
+    table = table[table["study"] == "fine_quadruplets"].reset_index(drop=True)
+    assert decomposition.differs("fine_quadruplets", table)
 
 
 def test_without_lenses_for_image_quality_the_task_is_compared_with_least_squares(tmp_path):
@@ -194,12 +190,13 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
         claims = DOUBLETS.model_copy(update={"seeds": of_folder})
         answers_file.write(tmp_path / folder / "verdicts.npz", claims, RandomAnswers({}, {}))
     monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
+    monkeypatch.setattr(decomposition, "rows_of_file", cache(decomposition.rows_of_file))
     keys = ["fields", "step"]
     fresh, both = (decomposition.rows(s).drop_duplicates(keys).set_index(keys) for s in ("fresh", "both"))
     pandas.testing.assert_frame_equal(*(frame[["accuracy", "difference"]].sort_index() for frame in (fresh, both)))
     step = ("all fields", "task, from an image-quality lens")
     first, second = (
-        decomposition.rows_of_file("", path).drop_duplicates(keys).set_index(keys).loc[step, "difference"]
+        decomposition.rows_of_file("fresh", path).drop_duplicates(keys).set_index(keys).loc[step, "difference"]
         for path in sorted(tmp_path.glob("fresh/*/verdicts.npz"))
     )
     assert fresh.loc[step, "high"] - fresh.loc[step, "low"] == pytest.approx(12.706 * abs(first - second), rel=1e-4)
@@ -220,9 +217,7 @@ def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     }
     before = {"published/known/README.md": "page", "published/known/old.csv": ""}
     for name, content in ({f"results/known/{name}": content for name, content in contents.items()} | before).items():
-        path = tmp_path / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(content)
+        write(tmp_path / name, content)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(publish, "FOLDER", tmp_path / "published")
     monkeypatch.setattr("sys.argv", ["publish.py", "known", "--lenses"])
