@@ -73,7 +73,7 @@ def test_a_changed_value_leaves_the_others_of_a_saved_lens(tmp_path):
     """Focal length, F-number, fields and pixels are those of the saved lens, unless one is changed."""
     lens, view = tasklens.lens(COOKE, field_of_view_deg=40, f_number=5, pixel_pitch_um=4, kernel_size=31)
     tasklens.save_lens(tmp_path / "cooke.yaml", lens, view)
-    for changes in ({}, {"pixel_pitch_um": 3, "kernel_size": 21}, {"f_number": 8}, {"field_of_view_deg": 30}):
+    for changes in ({"pixel_pitch_um": 3, "kernel_size": 21}, {"f_number": 8}, {"field_of_view_deg": 30}):
         its_lens, its_view = tasklens.load_lens(tmp_path / "cooke.yaml", **changes)
         figures = tasklens.analyse(its_lens, its_view, rays=64)
         expected = {"pixel_pitch_um": 4, "kernel_size": 31, "f_number": 5, "field_of_view_deg": 40} | changes
@@ -160,7 +160,7 @@ COOKE = [
 def test_a_lens_typed_surface_by_surface():
     """The Cooke triplet of Zemax's samples: EFL 50 mm; its image without a distance is in focus."""
     lens, view = tasklens.lens(COOKE, field_of_view_deg=40, f_number=5)
-    figures = tasklens.analyse(lens, view, rays=256)
+    figures = tasklens.analyse(lens, view, rays=64)
     assert figures["efl_mm"] == pytest.approx(50.0, abs=0.03) and figures["f_number"] == pytest.approx(5, rel=1e-9)
     assert max(figures["angle_deg"]) == pytest.approx(20, abs=1e-9) and lens.stop == 3
     with pytest.warns(UserWarning, match=r"no light arrives at \d of 9 fields"):

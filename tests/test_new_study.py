@@ -46,12 +46,12 @@ def request(networks: str, folder: Path | None = None, weights: Path | None = No
 
 def test_a_new_study_follows_its_options(place, capsys):
     """Options alone make a study file that loads; the command prints the next step."""
-    options = "--networks vit,resnet --elements mine=COC+OKP4 --f-number 2.2 --field-of-view 50 --seeds 2"
+    options = "--networks vit,resnet --elements mine=COC+OKP4 --f-number 2.2 --field-of-view 50"
     assert study("new", "wide", *options.split(), "--minutes", "600", "--yes") == 0
     config = load("wide.yaml")
     assert (config.name, config.supervisor, list(config.classifiers)) == ("wide", "vit", ["vit", "resnet"])
     assert config.elements == {"mine": ("COC", "OKP4")}
-    assert (config.spec.f_number, config.spec.field_of_view_deg, config.seeds) == (2.2, 50.0, (0, 1))
+    assert (config.spec.f_number, config.spec.field_of_view_deg, config.seeds) == (2.2, 50.0, (0,))
     out = capsys.readouterr().out
     assert out.startswith("wide.yaml: all four tables, about ")
     assert f"snakemake -j2 tables -s {SNAKEFILE} --configfile wide.yaml" in out  # it is not in this folder
@@ -67,8 +67,9 @@ def test_a_new_study_asks_for_what_was_not_given(place, unplanned):
     config = load("asked.yaml")
     assert (list(config.elements), config.spec.f_number, config.seeds) == (["triplet"], 3.5, (0,))
     assert config.images.folder is None and list(config.classifiers) == ["resnet"]
-    result = CliRunner().invoke(app, ["study", "new", "b", "--seeds", "1", "--f-number", "4"], input=6 * "\n")
+    result = CliRunner().invoke(app, ["study", "new", "b", "--seeds", "2", "--f-number", "4"], input=6 * "\n")
     assert result.exit_code == 0 and "Seeds" not in result.output and "F-number" not in result.output
+    assert load("b.yaml").seeds == (0, 1)
 
 
 def test_less_time_gives_a_smaller_study(place, unplanned):
