@@ -123,7 +123,7 @@ def in_a_fork(call) -> str:
 
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="processes are forked")
-@pytest.mark.parametrize("kind", ["text", "tensors", "checkpoint", "array"])
+@pytest.mark.parametrize("kind", ["text", "rows", "tensors", "checkpoint", "array"])
 def test_a_file_that_does_not_fit_is_named_and_leaves_nothing(tmp_path, kind):
     def array():
         with files.writing_array(tmp_path / "large", (100, 100)) as pixels:
@@ -133,6 +133,7 @@ def test_a_file_that_does_not_fit_is_named_and_leaves_nothing(tmp_path, kind):
     checkpoint.records = {"a": {"x": torch.ones(5000)}}
     calls = {
         "text": lambda: files.write_text(tmp_path / "large", "x" * 10_000),
+        "rows": lambda: files.write_rows(tmp_path / "large", [{"a": "x" * 10_000}]),
         "tensors": lambda: write_tensors(tmp_path / "large", {"a": torch.ones(5000)}, {}),
         "checkpoint": checkpoint.write,
         "array": array,

@@ -165,6 +165,12 @@ def test_an_imported_lens_has_its_rows(study, tmp_path):
     assert "quadruplet" not in set(table(study, "table3").elements)
 
 
+def test_one_seed_has_no_spread(study):
+    frame = table(study.model_copy(update={"seeds": (0,)}), "table1")
+    assert not [name for name in frame.columns if name.endswith("_std")]
+    assert frame.loc["tasklens", "accuracy"] == pytest.approx(70)
+
+
 def make(contents) -> SimpleNamespace:
     """The files of a table."""
     files = measurements_of("tiny", contents)
