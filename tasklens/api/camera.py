@@ -69,9 +69,9 @@ class Camera(nn.Module):
     ):
         super().__init__()
         check_capture(colour, outside_window, sensor)
-        check_light(lens, view)
         if lens.dtype != torch.float64:
             raise InputError(f"lens: expected double precision, as of `load_lens`, got {lens.dtype}")
+        check_light(lens, view)
         check_rays(rays)
         self.view, self.rays = view.in_colours(), rays
         self.colour, self.outside_window, self.sensor = colour, outside_window, sensor

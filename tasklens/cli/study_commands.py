@@ -1,7 +1,9 @@
 """`tasklens study ...`: study files and their results."""
 
 import json
+from bisect import bisect_left
 from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
@@ -105,11 +107,15 @@ def new(
     own_network.check()
     minutes = answers.of("minutes", "Time to spend [minutes]", 30.0)
     new_study.check(request)
-    for cut in new_study.CUTS:
-        seconds = _seconds(request, cut, path) / cores
-        if seconds <= 60 * minutes:
-            break
-    else:
+
+    @cache
+    def seconds_of(cut: new_study.Cut) -> float:
+        return _seconds(request, cut, path) / cores
+
+    largest = bisect_left(new_study.CUTS, -60 * minutes, key=lambda cut: -seconds_of(cut))  # they become smaller
+    cut = new_study.CUTS[min(largest, len(new_study.CUTS) - 1)]
+    seconds = seconds_of(cut)
+    if seconds > 60 * minutes:
         raise InputError(
             f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(seconds)} on {cores} cores; "
             "allow more time, or choose fewer elements, networks or seeds"
