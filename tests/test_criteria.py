@@ -35,7 +35,7 @@ def expected(along: float, across: float) -> float:
     return 1 - sum(waves) / 4
 
 
-@pytest.mark.parametrize("column, row", [(0, 0), (0, 2), (2, 0), (3, -1)])
+@pytest.mark.parametrize("column, row", [(0, 2), (3, -1)])
 @pytest.mark.parametrize("direction", [UP, SLANTED])
 def test_contrast_of_a_point_beside_the_centre(direction, column, row):
     """It falls with the cosine of the shift, along the field and across it; at half a period it is reversed."""
@@ -101,23 +101,17 @@ def test_contrast_alone_makes_a_lens():
     """From plates, without classifier or images: the loss of contrast falls by a quarter."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast()
-    lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
+    lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, batch_size=1, rays=32)
     objective = Objective(contrast, problem(), None, False, 1)
     saved = as_saved(lens, problem().view, LIMITS)
     before, after = (objective.validation_loss(candidate, 10.0) for candidate in (plates, saved))
     assert after == pytest.approx(origin["validation_loss"], rel=1e-9) and after < 0.75 * before
 
 
-def images_and_captures():
-    """Four images of noise, and blurred copies of them, in double precision."""
-    images = random_images(4, 12, 3, seed=0).images.double() / 255
-    return images, torch.nn.functional.avg_pool2d(images, 3, 1, 1)
-
-
 def test_correlation_does_not_see_haze():
     """Nor brightness or contrast: a scaled capture with a coloured veil has the same loss; blur has a larger one."""
-    images, captures = images_and_captures()
-    labels = torch.zeros(4)
+    images, labels = random_images(4, 12, 3, seed=0).images.double() / 255, torch.zeros(4)
+    captures = torch.nn.functional.avg_pool2d(images, 3, 1, 1)
     loss = Correlation().losses(captures, images, labels)
     veil = f64([0.1, 0.2, 0.3])[:, None, None]
     torch.testing.assert_close(Correlation().losses(0.4 * captures + veil, images, labels), loss, rtol=1e-12, atol=0)
@@ -131,8 +125,6 @@ def test_temperature_softens_confident_wrong_answers():
     for temperature in (1.0, 5.0):
         loss = Classification(temperature).losses(lambda captures: captures, logits, label)
         (gradient,) = torch.autograd.grad(loss.sum(), logits)
-        expected = (logits / temperature).softmax(-1) - f64([[0.0, 1.0, 0.0]])
-        torch.testing.assert_close(gradient, expected.detach(), rtol=1e-12, atol=0)
-        assert float(loss.detach()) == pytest.approx(
-            -temperature * float((logits.detach() / temperature).log_softmax(-1)[0, 1])
-        )
+        likely = (logits.detach() / temperature).softmax(-1)
+        torch.testing.assert_close(gradient, likely - f64([[0.0, 1.0, 0.0]]), rtol=1e-12, atol=0)
+        assert float(loss.detach()) == pytest.approx(-temperature * math.log(float(likely[0, 1])))

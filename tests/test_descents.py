@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from tasklens.design import least_squares, methods
 from tasklens.design.constraints import _INCIDENT, incidence_penalty
-from tasklens.design.criteria import Contrast, ImageError, JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.criteria import JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.descent import Descent
 from tasklens.design.objective import Objective
 from tasklens.design.optimizers import AdamWOptimizer
@@ -36,28 +36,19 @@ from tasklens.study.study import StudyError
 from tasklens.study.table_contents import lens_design
 
 COARSE = {"steps": 4, "pixels": (20, 10), "step_size": 0.6, "damping": 0.5}
-COLD = {
-    "optimizer": "adamw",
-    "steps": 4,
-    "learning_rates": LEARNING_RATES,
-    "pixels": (20, 1),
-    "duration": 0.5,
-    "stop_scale": 0.3,
-}
+COLD = {"optimizer": "adamw", "steps": 4, "learning_rates": LEARNING_RATES}
+COLD |= {"pixels": (20, 1), "duration": 0.5, "stop_scale": 0.3}
 TRAINED = {"network_learning_rate": 1e-2}
 
 
 # Losses of the first four steps of the earlier classes at the paper's nine fields, at commit c0538e9; for the spot
-# descent the mean RMS spot radius [um]. Three feel limits, which are at all radii now.
+# descent the mean RMS spot radius [um]. One feels limits, which are at all radii now.
 @pytest.mark.parametrize(
     "settings, expected",
     [
         (COARSE, [1.1576279799, 1.0571862989, 1.1006794506, 1.1361806658]),
-        (COARSE | {"criterion": "log_image_error"}, [-3.8546597428, -3.8649505774, -3.8524478012, -3.8539286984]),
-        (COARSE | {"criterion": "contrast"}, [1.0193929299, 1.0117959184, 1.0112995947, 1.0102038521]),
         (COARSE | TRAINED, [1.0087804264, 1.4160249631, 0.8149189949, 0.9666303396]),
         (COLD | TRAINED, [1.0117445257, 1.3945707745, 0.8159310818, 0.9726718664]),
-        (COLD, [1.1571157906, 1.0571406682, 1.1004683971, 1.1360991001]),
         (
             COLD | {"criterion": "spot", "pixels": (1, 1), "betas": (0.9, 0.99)},
             [110.6445735, 176.6516679, 251.6419327, 237.6091768],
@@ -67,12 +58,7 @@ TRAINED = {"network_learning_rate": 1e-2}
 def test_first_steps_have_the_recorded_losses(settings, expected):
     part = DescentSettings(**settings)
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    criterion = {
-        "task": lambda: TaskLoss(tiny_network().eval().requires_grad_(False)),
-        "log_image_error": lambda: ImageError(True),
-        "contrast": Contrast,
-        "spot": SpotRadius,
-    }[part.criterion]()
+    criterion = SpotRadius() if part.criterion == "spot" else TaskLoss(tiny_network().eval().requires_grad_(False))
     if part.trains_network:
         criterion = JointTaskLoss(tiny_network(), 1e-2, 4, 0.1)
     design_problem = replace(problem(), seed=0, fields=PAPER)
@@ -119,9 +105,7 @@ def test_an_entry_of_a_list_is_changed_by_its_number():
     above = {"descents": {"1": {"steps": 3}}}
     assert merged_settings(below, above) == {"descents": [{"steps": 1, "damping": 0.5}, {"steps": 3}]}
     assert merged_settings(below, {"descents": [{"steps": 4}]}) == {"descents": [{"steps": 4}]}
-    with pytest.raises(InputError, match=r"descents\.2: there is no such entry; expected 0 to 1"):
-        merged_settings(below, {"descents": {"2": {"steps": 3}}})
-    with pytest.raises(InputError, match=r"designs\.mine\.descents\.2: there is no"):
+    with pytest.raises(InputError, match=r"designs\.mine\.descents\.2: there is no such entry; expected 0 to 1"):
         merged_settings({"designs": {"mine": below}}, {"designs": {"mine": {"descents": {"2": {"steps": 3}}}}})
 
 
@@ -176,7 +160,7 @@ def with_start(file, start):
 
 
 @pytest.mark.parametrize("keep", [True, False])
-def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start, keep):
+def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start, few_rays, keep):
     """Shape and materials are from the file; missing aspheric coefficients are zero, and free.
 
     Clear apertures are kept, also none; otherwise they are those of the lit part of the new lens.
@@ -207,7 +191,7 @@ def test_designs_that_begin_with_each_other_are_refused():
 
 def test_least_squares_stops_at_a_spot():
     """At a mean spot of 12 um over the fields of the merit function, which are close to those of the view."""
-    settings = LeastSquaresSettings(method="least_squares", starts=60, evaluations=2000, spot_um={"doublet": 12.0})
+    settings = LeastSquaresSettings(method="least_squares", starts=20, evaluations=700, spot_um={"doublet": 12.0})
     assert settings.of_elements("triplet").spot_um is None
     view, plates = view_of_spec(Spec()), flat(materials("COC", "OKP4"), Spec(), LIMITS)
     lens, history = least_squares.design(plates, Problem(view, LIMITS, 0), settings.of_elements("doublet"))
@@ -237,15 +221,12 @@ def test_adamw_penalises_angles_of_incidence_and_moves_only_free_variables(start
     changes = {}
     for largest_deg in (None, 10.0):
         settings = DescentSettings(optimizer="adamw", steps=3, max_incidence_deg=largest_deg)
-        posed = replace(Problem(VIEW, LIMITS, 0), free={"curvature": (1,)})
-        optimizer = AdamWOptimizer(start, posed, settings)
+        optimizer = AdamWOptimizer(start, replace(Problem(VIEW, LIMITS, 0), free={"curvature": (1,)}), settings)
         vector = optimizer.vector()
         lens = optimizer.lens(vector)
-        changes[largest_deg] = (
-            optimizer.change(vector, lens, lens.curvature.square().sum(), 0.0, 1.0),
-            optimizer.penalty,
-        )
-        optimizer.apply(changes[largest_deg][0])
+        change = optimizer.change(vector, lens, lens.curvature.square().sum(), 0.0, 1.0)
+        changes[largest_deg] = change, optimizer.penalty
+        optimizer.apply(change)
         moved = optimizer.vector().detach() != vector.detach()
         assert moved.tolist() == optimizer.free.tolist() and moved.sum() == 1
     assert changes[10.0][1] > changes[None][1] and not torch.equal(changes[10.0][0], changes[None][0])

@@ -24,7 +24,7 @@ from tasklens.settings.design_settings import LearningRates
 from tasklens.study.loading import parse
 from tasklens.study.table_contents import lens_design
 
-NAMES = ("COC", "OKP4")
+pytestmark = pytest.mark.usefixtures("few_rays")
 
 
 def coarse_psfs(lens, view=VIEW):
@@ -38,16 +38,15 @@ def whole_losses(criterion, captures, images, labels):
     if isinstance(criterion, TaskLoss):
         logits = criterion.network(captures.flatten(0, 1))
         return F.cross_entropy(logits, labels.repeat(len(captures)), reduction="none").reshape(captures.shape[:2])
-    squared = torch.stack(
-        [torch.stack([((a - b) ** 2).mean() for a, b in zip(c, images, strict=True)]) for c in captures]
-    )
+    squared = ((captures - images) ** 2).mean((2, 3, 4))
     return squared.log() if criterion.logarithm else squared
 
 
-@pytest.mark.parametrize("colour", ["srgb", "linear"])
-@pytest.mark.parametrize("micro_batch", [7, 64])
-@pytest.mark.parametrize("supervised_by", ["classifier", "image", "log image"])
-def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_by):
+@pytest.mark.parametrize(
+    "supervised_by, micro_batch, colour",
+    [("classifier", 7, "srgb"), ("classifier", 64, "linear"), ("image", 7, "linear"), ("log image", 7, "srgb")],
+)
+def test_stages_give_the_gradient_of_one(start, supervised_by, micro_batch, colour):
     """dL/dPSF from micro-batches of 45 captures, carried through the rays, equals backward through all at once.
 
     Micro-batches may split fields; the loss is the weighted mean of the fields.
@@ -61,10 +60,8 @@ def test_stages_give_the_gradient_of_one(start, micro_batch, colour, supervised_
         values = {name: v.requires_grad_() for name, v in variables.values().items()}
         grid = coarse_psfs(variables.assemble(values))
         if in_stages:
-            capture = CaptureSettings(colour=colour)
-            losses, upstream = loss_at_psf(
-                criterion, images, labels, grid.float(), capture, micro_batch, weights=weights
-            )
+            options = images, labels, grid.float(), CaptureSettings(colour=colour), micro_batch
+            losses, upstream = loss_at_psf(criterion, *options, weights=weights)
             grid.backward(upstream.double())
         else:
             captures = PsfCamera(grid, colour=colour).all_fields(images)
@@ -128,9 +125,8 @@ def test_a_network_that_learns_does_not_hide_that_its_lens_is_destroyed(start):
     validated = [row["validation_loss"] for row in history]
     assert min(validated) == validated[-1] < validated[0] - 0.1
     blur = {"network_learning_rate": None, "steps": 2, "classes": 1}
-    before, after = (
-        adamw_descent(Contrast(), candidate, **blur)[1][0]["validation_loss"] for candidate in (start, lens)
-    )
+    histories = [adamw_descent(Contrast(), candidate, **blur)[1] for candidate in (start, lens)]
+    before, after = (history[0]["validation_loss"] for history in histories)
     assert after <= before + 1e-9
 
 
@@ -182,32 +178,32 @@ def test_the_cause_of_a_divergence_has_a_name(start):
     assert cause == "no field; the shape of surface 3 is not finite"
 
 
-def test_finished_lens_passes_its_light_and_tells_its_margins(start):
-    study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
-    job_settings = lens_design(study, "doublet-imaging1", 0)
+@pytest.fixture
+def job_settings():
+    """Settings of the job that designs a doublet."""
+    return lens_design(parse(changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})), "doublet-imaging1", 0)
+
+
+def test_finished_lens_passes_its_light_and_tells_its_margins(start, job_settings):
     lens, notes = methods.with_notes(start, 1.5 * clear_semi_diameters(start, VIEW), job_settings, {"method": "spot"})
     assert torch.isfinite(lens.semi_diameter).all()
-    assert float(lens.semi_diameter[0]) == study.spec.stop_radius_mm
+    assert float(lens.semi_diameter[0]) == job_settings.spec.stop_radius_mm
     valid = trace_fields(start, VIEW, sobol_disc(64, 0)).valid.double().mean((1, 2)).tolist()
     assert notes["figures"]["valid_fraction"] == pytest.approx(valid, abs=1e-12)
-    assert notes["figures"]["efl_mm"] == pytest.approx(study.spec.efl_mm, rel=1e-9)
+    assert notes["figures"]["efl_mm"] == pytest.approx(job_settings.spec.efl_mm, rel=1e-9)
     assert notes["worst_margin"]["value"] == min(notes["margins"].values())
     assert len(notes["margins"]) == 9
     assert chief_points(lens, VIEW).isfinite().all()
-    reopened = lens.with_open_apertures()
-    assert torch.equal(reopened.semi_diameter, start.semi_diameter)
+    assert torch.equal(lens.with_open_apertures().semi_diameter, start.semi_diameter)
 
 
-def test_rays_that_go_astray_are_stopped(start):
+def test_rays_that_go_astray_are_stopped(start, job_settings):
     """A clear aperture slightly below the beam cuts the outer rays, and limits apply within it."""
-    study = parse(changed(tiny_study(), "elements", {"doublet": NAMES}))
-    job_settings = lens_design(study, "doublet-imaging1", 0)
     semi_diameters = clear_semi_diameters(start, VIEW)
     clear = semi_diameters.clone()
     clear[-1] *= 0.97
-    whole, cut = (
-        methods.with_notes(start, apertures, job_settings, {}) for apertures in (1.01 * semi_diameters, clear)
-    )
+    apertures = 1.01 * semi_diameters, clear
+    whole, cut = (methods.with_notes(start, aperture, job_settings, {}) for aperture in apertures)
     fractions = [sum(notes["figures"]["valid_fraction"]) for _, notes in (whole, cut)]
     assert 0.8 * fractions[0] < fractions[1] < fractions[0]
     assert torch.equal(cut[0].semi_diameter[1:], clear[1:])

@@ -46,7 +46,8 @@ def trained(tmp_path_factory):
 @pytest.fixture
 def photographs(folder, trained):
     """A folder with these photographs and weights."""
-    shutil.copytree(trained, folder, dirs_exist_ok=True)
+    (folder / "photographs").symlink_to(trained / "photographs")
+    shutil.copy(trained / "mine.safetensors", folder)
     return folder
 
 
@@ -81,7 +82,7 @@ def test_a_lens_of_a_plastic_in_the_folder_of_catalogues(folder, monkeypatch):
     (folder / "mine").mkdir()
     (folder / "mine/maker.yaml").write_text(yaml.safe_dump({"MINE": builtin("PMMA").definition()}))
     monkeypatch.setenv("TASKLENS_CATALOGUES", "mine")
-    assert design(*QUICK, "--elements", "MINE", "-o", "lens.yaml") == 0
+    assert design("--elements", "MINE", "--set", "evaluations=10", "--set", "starts=1", "-o", "lens.yaml") == 0
     assert [medium.name for medium in lens_files.read(folder / "lens.yaml").lens.media][1] == "MINE"
 
 
@@ -138,7 +139,6 @@ MISTAKES = [
     (("--method", "magic"), "method 'magic': expected one of least_squares, spot, contrast, log_image_error, "),
     (("--method", "task", "--save-network", "a.safetensors"), "--save-network: only with --method joint or end_to_end"),
     (("--method", "task"), "method task: needs a network: --network NAME --weights FILE, in Python `network`"),
-    (("--method", "end_to_end"), "method end_to_end: needs a network: --network NAME --weights FILE"),
     ((*MINE, "--method", "joint"), "--method joint: trains the network with the lens; give"),
     (TASK, "--network test_resnet: give one of --weights FILE, --pretrained"),
     ((*TASK, "--weights", "absent.pth"), "--weights absent.pth: no such file"),
@@ -153,7 +153,6 @@ MISTAKES = [
     (("--set", "evaluations=many"), "designs.least_squares.evaluations = 'many': expected a whole number"),
     (("--set", "a=1", "--set", "a.b.c=2"), "--set a.b.c=2: a has the value 1 from another --set"),
     (("--set", "a.b=2", "--set", "a=1"), "--set a=1: a has the values {'b': 2} from another --set"),
-    (("--set", "evaluations=2001-99-99"), "--set evaluations=2001-99-99: expected KEY=VALUE"),
     (("--set", "evaluations"), "--set evaluations: expected KEY=VALUE, such as descents.0.steps=200"),
     (("--limit", "max_trak=6"), "--limit max_trak = 6: unknown key; did you mean max_track?"),
     (("--field-of-view", "40"), "focuses within --limit max_track = 4.4 mm"),
@@ -162,7 +161,6 @@ MISTAKES = [
     (("--wavelengths", "2.4,0.6,0.5"), "2.4 um of lens is outside the 0.334 to 2.325 um"),
     (("--catalogue", "absent.yaml"), "absent.yaml: cannot be read: No such file or directory"),
     (("--network", "test_resnet", "--weights", "words.pth"), "method least_squares: has no network; choose task"),
-    (("--images", "photographs", "--size", "32"), "method least_squares: has no images"),
     (("--method", "contrast", "--images", "photographs", "--size", "32"), "method contrast: has no images"),
     (("--method", "contrast", "--size", "128"), "size: only for a folder of photographs"),
     ((*MINE, "--set", "descents.0.network_learning_rate=1e-4"), "only with the methods joint and end_to_end, not task"),

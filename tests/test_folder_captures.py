@@ -61,6 +61,8 @@ def test_each_photograph_is_captured_at_its_field(photos, capsys):
     assert run("photos", "-o", "noisy", *OPTIONS, "--full-well", "6000") == 0
     assert rows_of("noisy") == rows
     assert not torch.equal(opened(Path("noisy/cat/a.png")), opened(Path("out/cat/a.png")))
+    assert run("photos", "-o", "corner", *OPTIONS, "--field", "corner") == 0
+    assert {row["field"] for row in rows_of("corner")} == {"8"}
 
 
 def test_photographs_that_cannot_be_read_are_named_before_the_first_capture(photos, monkeypatch, capsys):
@@ -74,11 +76,6 @@ def test_photographs_that_cannot_be_read_are_named_before_the_first_capture(phot
     for broken in ("cat/a.png", "dog/c.PNG"):
         (photos / f"{broken}.kept").replace(photos / broken)
     assert run("photos", "-o", "out", *OPTIONS) == 0 and len(rows_of("out")) == 4
-
-
-def test_all_photographs_at_one_field(photos):
-    assert run("photos", "-o", "out", *OPTIONS, "--field", "corner") == 0
-    assert {row["field"] for row in rows_of("out")} == {"8"}
 
 
 def test_what_cannot_be_captured_is_refused_before_the_first_file(photos, capsys):

@@ -24,7 +24,10 @@ from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.settings.design_settings import DescentSettings
 from tasklens.settings.network_settings import RestorationSettings, TrainingSettings
 
-pytestmark = pytest.mark.filterwarnings("ignore:.*CUDA is not available.*Disabling autocast")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:.*CUDA is not available.*Disabling autocast"),
+    pytest.mark.usefixtures("few_rays"),
+]
 without_gpu = pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
 with_gpu = pytest.mark.skipif(not torch.cuda.is_available(), reason="there is no GPU")
 CAPTURE = CaptureSettings(sensor=SensorSettings())

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy
 import pytest
 import torch
-from designs import LIMITS, SPEC, VIEW
+from designs import LIMITS, NO_LIMITS, SPEC, VIEW
 from examples import difference, materials
 
 from tasklens.design import least_squares
@@ -20,20 +20,9 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, centroid, rms_spot_radius, smallest_aperture, trace_fields
 from tasklens.runtime.errors import InputError
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
-from tasklens.settings.specification import Constraints
 
 PROBLEM = Problem(VIEW, LIMITS, 0)
 PLASTICS = materials("COC", "OKP4")
-
-
-def test_random_starts_do_not_depend_on_the_blocks_they_are_drawn_by(monkeypatch):
-    """Nor do later draws."""
-    plates, draws = flat(PLASTICS, SPEC, LIMITS), []
-    for block in (20_000, 64):
-        monkeypatch.setattr("tasklens.design.random_starts._BLOCK", block)
-        rng = numpy.random.default_rng(3)
-        draws.append(([lens.curvature for lens in random_starts(plates, VIEW, LIMITS, 20, rng)], rng.random()))
-    assert torch.equal(torch.stack(draws[0][0]), torch.stack(draws[1][0])) and draws[0][1] == draws[1][1]
 
 
 def test_limits_without_any_start_are_named():
@@ -85,11 +74,7 @@ def test_merit_columns_are_the_limit_of_differences(start, reference):
 
 def test_merit_is_the_mean_square_spot(start):
     """If no limit is violated, the sum of squares is the mean over fields of the squared RMS spot radius."""
-    easy = Constraints(
-        min_centre_thickness=1e-6, max_centre_thickness=99, min_edge_thickness=1e-6, min_air_gap=1e-6,
-        min_back_focus=1e-6, max_track=99, max_slope=99, efl_tolerance=1, distortion=1,
-    )  # fmt: skip
-    merit = Merit(VIEW, easy, "centroid")
+    merit = Merit(VIEW, NO_LIMITS, "centroid")
     gentle = start.with_stop_scaled(0.3)
     mean_square = float(merit.residuals(gentle).square().sum())
     heights = torch.tensor(FIELD_HEIGHTS, dtype=torch.float64)
@@ -100,17 +85,6 @@ def test_merit_is_the_mean_square_spot(start):
     assert mean_square == pytest.approx(expected, rel=1e-2)
 
 
-def test_improve_never_increases_the_merit():
-    plates = flat(PLASTICS, SPEC, LIMITS)
-    merit = Merit(VIEW, LIMITS, "centroid")
-    for lens in random_starts(plates, VIEW, LIMITS, 4, numpy.random.default_rng(5)):
-        before = float(merit.residuals(lens).norm())
-        better, error = least_squares.improve(lens, merit, ("curvature", "thickness"), 6)
-        assert error <= before
-        assert error == pytest.approx(float(merit.residuals(better).norm()), rel=1e-9)
-        assert torch.equal(better.alpha, lens.alpha)
-
-
 @pytest.fixture(scope="module")
 def search():
     """A lens by a search of a few seconds, and its history."""
@@ -118,7 +92,7 @@ def search():
 
 
 def searched(**settings) -> tuple:
-    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=200, **settings)
+    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=120, **settings)
     return least_squares.design(flat(PLASTICS, SPEC, LIMITS), PROBLEM, settings)
 
 
@@ -144,7 +118,7 @@ def test_a_search_uses_one_thread(search, two_threads):
 def test_a_perturbation_that_makes_it_worse_is_forgotten(monkeypatch):
     """Two evaluations from plane plates give nothing better, so the earlier lens is returned."""
     plates = flat(PLASTICS, SPEC, LIMITS)
-    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
+    settings = LeastSquaresSettings(method="least_squares", starts=2, evaluations=40)
     monkeypatch.setattr(least_squares, "_perturb", lambda lens, rng: plates)
     monkeypatch.setattr(least_squares, "_PERTURBATION_EVALUATIONS", 2)
     _, history = least_squares.design(plates, PROBLEM, settings)
@@ -164,10 +138,11 @@ def test_an_aperture_stops_what_it_may_and_nothing_on_the_axis():
     assert math.isinf(smallest_aperture(lost[None, None], weight, heights[:1], 0.3))
 
 
-def test_a_lens_that_may_vignette_makes_a_smaller_spot(search):
+def test_a_lens_that_may_vignette_makes_a_smaller_spot(search, monkeypatch):
     """After the same search: no field loses more than its limit, the axis loses nothing, and the spots shrink."""
     pupil = torch.cat([OUTLINE, sobol_disc(1024, 5)])
     results = []
+    monkeypatch.setattr(least_squares, "_STRICT_EVALUATIONS", 8)
     vignetted = searched(vignetting=0.4)
     for lens, _ in (search, vignetted):
         rays = trace_fields(lens, VIEW, pupil)

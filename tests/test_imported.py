@@ -134,7 +134,7 @@ def test_a_finished_imported_lens(tmp_path):
     assert torch.equal(*valid)
 
 
-def test_the_network_sets_the_focus_of_a_scaled_lens(tmp_path):
+def test_the_network_sets_the_focus_of_a_scaled_lens(tmp_path, few_rays):
     """Its loss on training images is no larger than at the peak of the MTF; in the plane of the file it is larger."""
     images, network = random_images(12, 16, 3, seed=0), tiny_network()
     fit_network(network, images, TrainingSettings(epochs=60, learning_rate=1e-2, batch_size=12), 0, "sharp")
@@ -194,12 +194,8 @@ def test_its_own_clear_apertures_vignette(tmp_path):
 
 
 def test_a_zemax_file_and_our_own_give_the_same_lens(tmp_path):
-    options = {
-        "fields": ("angle_deg", ((0.0, 0.0),)),
-        "wavelengths_um": (0.5893,),
-        "primary": 0,
-        "object_distance_mm": 500.0,
-    }
+    options = {"fields": ("angle_deg", ((0.0, 0.0),)), "wavelengths_um": (0.5893,), "primary": 0}
+    options |= {"object_distance_mm": 500.0}
     expected, notes = fit_lens(tmp_path, cooke_triplet(), **options)
     zemax.write(tmp_path / "lens.ZMX", Prescription(cooke_triplet(), **options))
     zemax_lens, zemax_notes = imported.fit(ImportedLens(elements="x", file=tmp_path / "lens.ZMX"), VIEW, SPEC.f_number)

@@ -59,13 +59,10 @@ def test_a_descent_before_the_last_brings_no_network_into_a_method_without_one()
             designed("joint", {"start": "flat", "descents": descents})
 
 
-def test_descents_are_no_least_squares():
+def test_the_command_refuses_other_methods_too(tmp_path, capsys):
+    """As a list, which replaces the descents of the method."""
     with pytest.raises(InputError, match="method least_squares: expected its own settings, got `method: descents`"):
         designed("least_squares", {"method": "descents", "descents": [{"steps": 2, "criterion": "spot"}]})
-
-
-def test_the_command_refuses_them_too(tmp_path, capsys):
-    """As a list, which replaces the descents of the method."""
     words = ("--method", "contrast", "--set", "descents=[{steps: 2}]", "-o", str(tmp_path / "lens.yaml"))
     assert main(["design", *words]) == 2
     assert "expected `criterion: contrast` in its last descent, got task" in capsys.readouterr().err

@@ -38,14 +38,14 @@ pytestmark = pytest.mark.usefixtures("few_rays")
 
 @pytest.fixture(scope="module")
 def images():
-    return random_images(60, 32, 3, seed=0)
+    return random_images(24, 32, 3, seed=0)
 
 
 @pytest.fixture(scope="module")
 def network(images):
     torch.manual_seed(0)
     classifier = small_network(0)
-    fit(classifier, images, TrainingSettings(epochs=6, learning_rate=1e-2, batch_size=10), 0, "test")
+    fit(classifier, images, TrainingSettings(epochs=12, learning_rate=1e-2, batch_size=8), 0, "test")
     classifier.zero_grad()
     return classifier
 
@@ -65,7 +65,7 @@ def test_a_module_and_pairs_of_images_design_a_lens(images, network, capsys):
     assert torch.equal(lenses[0].curvature, lenses[1].curvature) and lenses[0].curvature.any()
     assert all(torch.equal(before[name], value) for name, value in network.state_dict().items())
     assert all(parameter.grad is None for parameter in network.parameters())
-    assert "of 60 sharp images (guessing: 33.3%)" in capsys.readouterr().err
+    assert "of 24 sharp images (guessing: 33.3%)" in capsys.readouterr().err
 
 
 def test_a_loss_of_ones_own(images):
@@ -75,12 +75,8 @@ def test_a_loss_of_ones_own(images):
         def forward(self, captures):
             return captures.mean((1, 2, 3)), captures.std((1, 2, 3))
 
-    def blur(answer, labels):
-        return -answer[1]
-
-    lens, _, notes = tasklens.design_lens(
-        "task", ["COC"], images=pairs(images), network=Mean(), loss=blur, settings=QUICK, **SPEC
-    )
+    options = {"images": pairs(images), "network": Mean(), "loss": lambda answer, labels: -answer[1]}
+    lens, _, notes = tasklens.design_lens("task", ["COC"], settings=QUICK, **options, **SPEC)
     assert lens.curvature.any() and notes["origin"]["validation_loss"] < 0
 
 
@@ -108,11 +104,10 @@ def test_fields_weigh_by_a_loss_for_each_image(network):
     ],
 )
 def test_settings_that_a_loss_cannot_have_are_refused(images, network, change, words):
+    options = {"images": images, "network": network, "loss": cross_entropy}
     settings = {**QUICK, "descents": [{**QUICK["descents"][0], **change}, QUICK["descents"][1]]}
     with pytest.raises(InputError, match=words):
-        tasklens.design_lens(
-            "task", ["COC"], images=images, network=network, loss=cross_entropy, settings=settings, **SPEC
-        )
+        tasklens.design_lens("task", ["COC"], settings=settings, **options, **SPEC)
 
 
 TRAINING = {"steps": 2, "pixels": [5, 1], "network_learning_rate": 1e-2}
@@ -141,21 +136,16 @@ def test_joint_design_keeps_frozen_parameters(images, network):
         tasklens.design_lens("joint", ["COC"], network=mine.requires_grad_(False), **options)
 
 
-class Views(nn.Module):
-    """A network as in many tutorials: it flattens by `view`, and wraps its logits."""
-
-    def __init__(self, network: nn.Module):
-        super().__init__()
-        self.layers, self.head = network[:3], network[-1]
-
-    def forward(self, images: torch.Tensor) -> SimpleNamespace:
-        features = self.layers(images)
-        return SimpleNamespace(logits=self.head(features.view(len(images), 8, -1).mean(-1)))
-
-
 def test_networks_with_views_and_with_named_logits(images, network):
-    lens, _, _ = tasklens.design_lens("task", ["COC"], images=images, network=Views(network), settings=QUICK, **SPEC)
-    assert lens.curvature.any()
+    """As in many tutorials: the network flattens by `view`, and wraps its logits."""
+
+    class Views(nn.Sequential):
+        def forward(self, images: torch.Tensor) -> SimpleNamespace:
+            features = nn.Sequential(*[*self][:3])(images)
+            return SimpleNamespace(logits=self[-1](features.view(len(images), 8, -1).mean(-1)))
+
+    options = {"images": images, "network": Views(*network), "settings": QUICK}
+    assert tasklens.design_lens("task", ["COC"], **options, **SPEC)[0].curvature.any()
 
 
 @pytest.mark.parametrize(
@@ -185,14 +175,11 @@ def test_labels_may_be_of_any_type_of_integer(images):
 def test_images_are_not_augmented_with_a_loss(images, network, monkeypatch):
     """Positions and masks would not move with them."""
 
-    def refused(*_):
-        raise AssertionError
-
-    monkeypatch.setattr(objective, "TrivialAugmentWide", refused)
+    monkeypatch.setattr(objective, "TrivialAugmentWide", lambda: pytest.fail("augmented"))
     settings = {"descents": {"0": {"steps": 1}}, "batch_size": 2}
     options = {"images": images, "network": network, "loss": cross_entropy, "start": tasklens.load_lens(LENS)}
     tasklens.design_lens("end_to_end", settings=settings, **options)
-    with pytest.raises(AssertionError):
+    with pytest.raises(pytest.fail.Exception):
         tasklens.design_lens("end_to_end", settings=settings | {"augment": True}, **options)
 
 
@@ -201,11 +188,8 @@ def test_labels_may_be_tensors(images):
     generator = torch.Generator().manual_seed(0)
     labelled = [(image.float() / 255, torch.rand(3, generator=generator)) for image in images.images[:12]]
 
-    def distance(answer, target):
-        return (answer - target).square().mean(-1)
-
     options = {"images": labelled, "network": small_network(0), "settings": QUICK, **SPEC}
-    lens, _, _ = tasklens.design_lens("task", ["COC"], loss=distance, **options)
+    lens, _, _ = tasklens.design_lens("task", ["COC"], loss=mse_loss, **options)
     assert lens.curvature.any()
     with pytest.raises(InputError, match="a design takes others with a `loss`"):
         tasklens.design_lens("task", ["COC"], **options)
@@ -216,18 +200,10 @@ def test_labels_may_be_tensors(images):
 @pytest.mark.parametrize(
     "network, loss, words",
     [
-        (
-            nn.Sequential(nn.Flatten(), nn.Linear(7, 3)),
-            None,
-            r"network: fails for images \(2, 3, 32, 32\) of torch.float32: .*mat1 and mat2",
-        ),
+        (nn.Linear(7, 3), None, r"network: fails for images \(2, 3, 32, 32\) of torch.float32: .*mat1 and mat2"),
         (nn.Flatten().forward, None, "network: expected a torch.nn.Module or its settings, got method"),
+        (nn.Conv2d(3, 3, 3), None, r"a tensor \(2, 3, 30, 30\) for 2 images of 3 classes; expected logits \(2, 3\)"),
         (nn.Flatten(), lambda answer, labels: answer, r"loss: expected one number or one for each image, got a tensor"),
-        (
-            nn.Conv2d(3, 3, 3),
-            None,
-            r"a tensor \(2, 3, 30, 30\) for 2 images of 3 classes; expected logits \(2, 3\)",
-        ),
         (
             nn.Flatten(),
             lambda answer, labels: answer.detach().sum(),
@@ -258,7 +234,7 @@ def test_a_part_of_a_data_set_has_its_classes(images):
     class Data(list):
         classes = ("a", "b", "c")
 
-    part = Subset(Data(pair for pair in pairs(images) if pair[1] < 2), range(20))
+    part = Subset(Data(pair for pair in pairs(images) if pair[1] < 2), range(10))
     assert labelled.of_pairs(part).classes == Data.classes and len(labelled.of_pairs(part, 7)) == 7
     with pytest.raises(InputError, match="got a DataLoader; give its"):
         labelled.of_pairs(DataLoader(part))
@@ -293,27 +269,18 @@ def test_wrong_pairs_are_refused(network):
             tasklens.design_lens("task", ["COC"], images=data, network=network, settings=QUICK, **SPEC)
 
 
-def test_a_network_of_one_output_is_refused(images):
+def test_a_network_that_cannot_be_told_from_guessing_is_refused(images):
     with pytest.raises(InputError, match="the network has one output"):
         check_accuracy(lambda batch: batch.mean((1, 2, 3))[:, None], images)
-
-
-def test_few_images_cannot_tell_a_network_from_guessing(images):
-    two = images.take(torch.arange(2))
     with pytest.raises(InputError, match=r"of 2 sharp images \(guessing: 33.3%\): too few images to tell"):
-        check_accuracy(small_network(0), two)
-
-
-def test_a_window_that_is_no_number_is_refused():
-    with pytest.raises(InputError, match=r"spec\.kernel_size = 'wide': expected a whole number"):
-        tasklens.design_lens("spot", ["COC"], kernel_size="wide")
+        check_accuracy(small_network(0), images.take(torch.arange(2)))
 
 
 def test_pairs_of_images_with_a_network_by_name(images, tmp_path):
     """It has as many outputs as these images have classes."""
     torch.manual_seed(0)
     classifier = Classifier(timm.create_model("test_resnet", num_classes=3))
-    fit(classifier, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
+    fit(classifier, images, TrainingSettings(epochs=10, learning_rate=1e-2, batch_size=8), 0, "test")
     write_tensors(tmp_path / "mine.safetensors", classifier.network.state_dict(), {})
     by_name = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
     lens, _, _ = tasklens.design_lens("task", ["COC"], images=images, network=by_name, settings=QUICK, **SPEC)

@@ -83,8 +83,6 @@ def blurred() -> PsfCamera:
 
 
 PIPELINES = CapturePipeline(blurred()), CapturePipeline(blurred())  # of training and validation
-
-
 TINY = RestorationSettings(width=8, encoder=(1,), middle=1, decoder=(1,), steps=60, batch_size=8, learning_rate=5e-3)
 
 
@@ -108,18 +106,16 @@ def test_training_restores_and_is_deterministic():
 def test_learning_rate_falls_to_zero_and_the_last_network_is_returned():
     """Rows at every check and at the end; the PSNR of the last one is that of the network."""
     sharp, minival = random_images(16, 16, 2, seed=0), random_images(8, 16, 2, seed=1)
-    settings = TINY.model_copy(update={"steps": 45, "check": 10})
+    settings = TINY.model_copy(update={"steps": 25, "check": 10})
     network, history = nafnet_training.train(settings, sharp, minival, *PIPELINES, 0)
-    assert [row["step"] for row in history] == [10, 20, 30, 40, 45]
+    assert [row["step"] for row in history] == [10, 20, 25]
     rates = [row["learning_rate"] for row in history]
     assert rates == sorted(rates, reverse=True) and max(rates) < TINY.learning_rate
     assert rates[-1] < 0.01 * TINY.learning_rate
     images, _ = minival.batch(torch.arange(8))
     with torch.no_grad():
-        again = torch.stack(
-            [psnr(network(captures), images).mean() for captures in blurred().all_fields(images)]
-        ).mean()
-    assert float(again) == pytest.approx(history[-1]["psnr_db"], abs=1e-5)
+        again = [float(psnr(network(captures), images).mean()) for captures in blurred().all_fields(images)]
+    assert sum(again) / 9 == pytest.approx(history[-1]["psnr_db"], abs=1e-5)
 
 
 def test_crops_train_a_network_for_whole_captures():
@@ -128,9 +124,8 @@ def test_crops_train_a_network_for_whole_captures():
     images, _ = minival.batch(torch.arange(8))
     captures = blurred()(images, torch.zeros(8, dtype=torch.long))
     before = psnr(captures, images).mean()
-    _, history = nafnet_training.train(
-        TINY.model_copy(update={"crop": 16, "steps": 200}), sharp, minival, *PIPELINES, 0
-    )
+    cropped = TINY.model_copy(update={"crop": 16, "steps": 60})
+    _, history = nafnet_training.train(cropped, sharp, minival, *PIPELINES, 0)
     assert history[-1]["psnr_db"] > before + 0.5
     whole, cut = (
         nafnet_training.train(TINY.model_copy(update={"steps": 2, "crop": crop}), sharp, minival, *PIPELINES, 0)[1]

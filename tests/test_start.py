@@ -14,7 +14,7 @@ from tasklens.settings.design_settings import LearningRates
 from tasklens.settings.specification import Constraints, Spec
 
 
-@pytest.mark.parametrize("elements", [1, 2, 3, 4])
+@pytest.mark.parametrize("elements", [1, 4])
 def test_flat_start_keeps_the_limits_and_has_no_power(elements):
     """Plane plates that can be made, a stop of EFL / (2 F), nothing bent."""
     lens = flat(materials("COC") * elements, SPEC, LIMITS)

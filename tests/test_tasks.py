@@ -75,22 +75,19 @@ def test_detection_of_the_truth_is_perfect():
     """By boxes and by masks; labels of torchvision begin with the background."""
     dataset = data(4)
 
+    def truth(labels, masks):
+        answer = {"boxes": objects.boxes(masks), "labels": labels + 1, "scores": torch.ones(len(labels))}
+        return answer | {"masks": masks[:, None].float()}
+
     class Knows(nn.Module):
         def forward(self, images):
-            detections = []
-            for k in range(len(images)):
-                labels, masks = dataset.objects_of(k)
-                scores = torch.ones(len(labels))
-                detections.append({"boxes": objects.boxes(masks), "labels": labels + 1, "scores": scores,
-                              "masks": masks[:, None].float()})  # fmt: skip
-            return detections
+            return [truth(*dataset.objects_of(k)) for k in range(len(images))]
 
     task, indices = Detection(dataset, OUTPUTS, with_masks=True), torch.arange(4)
     answers = task.answers(Knows(), dataset.batch(indices))
     assert isinstance(answers[0], Detections)
-    assert task.scores(answers, indices) == pytest.approx(
-        dict.fromkeys(("mask_ap", "mask_ap50", "box_ap", "box_ap50"), 100.0)
-    )
+    scores = task.scores(answers, indices)
+    assert scores == pytest.approx(dict.fromkeys(("mask_ap", "mask_ap50", "box_ap", "box_ap50"), 100.0))
     assert list(Detection(dataset, OUTPUTS, with_masks=False).scores(answers, indices)) == ["box_ap", "box_ap50"]
 
 
@@ -142,11 +139,11 @@ def test_numbers_of_the_table(tmp_path):
     paths = {}
     for seed, gain in ((0, 0.0), (1, 10.0)):
         values = {(False, 0): 20.0, (False, 1): 30.0, (True, 0): 50.0, (True, 1): 40.0}
+        common = {"elements": "doublet", "design": "d", "task": "z", "seed": seed, "metric": "miou"}
         rows = [
-            {"elements": "doublet", "design": "d", "task": "z", "seed": seed, "field": field, "metric": "miou",
-             "value": value + gain * tuned, "tuned": tuned}
+            common | {"field": field, "value": value + gain * tuned, "tuned": tuned}
             for (tuned, field), value in values.items()
-        ]  # fmt: skip
+        ]
         path = tmp_path / f"{seed}.csv"
         pandas.DataFrame(rows).to_csv(path, index=False)
         paths[task_jobs.TaskKey("doublet-d", "z", seed)] = path
@@ -168,9 +165,9 @@ def test_losses_have_gradients_at_captures(content):
 
 
 def test_a_small_network_learns_where_objects_are():
-    """Forty steps of telling objects from background reduce the loss by at least a third."""
+    """Twenty steps of telling objects from background reduce the loss by at least a third."""
     torch.manual_seed(0)
-    dataset = data(16)
+    dataset = data(8)
     network = task_networks.build("a", settings(BOXES), 10, 32)
     task = Detection(dataset, OUTPUTS, with_masks=False)
     fit_settings = TrainingSettings(epochs=20, learning_rate=2e-3, batch_size=8)
@@ -178,8 +175,8 @@ def test_a_small_network_learns_where_objects_are():
     def loss() -> float:
         torch.manual_seed(1)
         network.train()
-        indices = torch.arange(16)
-        return float(task.loss(network, dataset.batch(indices), indices, torch.zeros(16, dtype=torch.bool)))
+        indices = torch.arange(8)
+        return float(task.loss(network, dataset.batch(indices), indices, torch.zeros(8, dtype=torch.bool)))
 
     before = loss()
     training.fit(network, dataset.as_images(), fit_settings, 0, "test", task=task)
@@ -188,9 +185,8 @@ def test_a_small_network_learns_where_objects_are():
 
 def test_whole_networks_of_torchvision():
     """Mask R-CNN of ResNet50 by its name; unknown names and arguments name the task."""
-    network = task_networks.build(
-        "a", settings({"kind": "instance_segmentation", "model": "maskrcnn_resnet50_fpn"}), 3, 64
-    )
+    whole = {"kind": "instance_segmentation", "model": "maskrcnn_resnet50_fpn"}
+    network = task_networks.build("a", settings(whole), 3, 64)
     assert network.roi_heads.mask_predictor.mask_fcn_logits.out_channels == 4
     with pytest.raises(InputError, match=r"tasks\.networks\.mine: .*unet"):
         task_networks.build("mine", settings({"kind": "segmentation", "model": "unet"}), 3, 64)
@@ -229,7 +225,6 @@ def test_published_weights_that_cannot_be_downloaded_are_one_line(monkeypatch):
 @pytest.mark.parametrize(
     "content",
     [
-        {"kind": "segmentation"},
         {"kind": "segmentation", "backbone": "resnet18"},
         {"kind": "detection", "backbone": "resnet18", "model": "fasterrcnn_resnet50_fpn"},
         {"kind": "detection", "backbone": "resnet18", "pretrained": True},
@@ -243,9 +238,9 @@ def test_networks_that_do_not_fit_their_task(content):
 
 
 def test_splits_have_other_images():
-    splits = object_splits.make(SceneSettings(size=32, train=3, test=3))
+    splits, again = (object_splits.make(SceneSettings(size=32, train=3, test=3)) for _ in range(2))
     assert not torch.equal(splits["train"].images, splits["test"].images)
-    assert torch.equal(object_splits.make(SceneSettings(size=32, train=3, test=3))["test"].masks, splits["test"].masks)
+    assert torch.equal(again["test"].masks, splits["test"].masks)
 
 
 def test_a_study_of_tasks(tmp_path, monkeypatch):

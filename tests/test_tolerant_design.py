@@ -16,6 +16,7 @@ from tasklens.optics.analysis.spots import trace_fields
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.settings.tolerance_settings import Grade
 
+pytestmark = pytest.mark.usefixtures("few_rays")
 PHONE, COMMERCIAL = map(Grade.model_validate, ("phone_moulding", "commercial_moulding"))
 
 
@@ -23,12 +24,8 @@ def objective_of(grade: Grade | None, criterion=None) -> Objective:
     return Objective(criterion or Contrast(), problem(), None, False, 1, "chief_ray", grade)
 
 
-def test_without_a_grade_the_design_itself_is_evaluated(start):
-    assert objective_of(None).as_built(start, 3, 8) == [start]
-
-
 def test_built_lenses_are_drawn_anew(spot_lens):
-    """The seed sets the errors of each lens; each is focused; the design itself does not change."""
+    """The seed sets the errors of each lens; each is focused; the design stays, and is itself used without a grade."""
     first, second = objective_of(COMMERCIAL).as_built(spot_lens, 3, 2)
     (again,), (other,) = (objective_of(COMMERCIAL).as_built(spot_lens, seed) for seed in (3, 4))
     assert torch.equal(first.thickness, again.thickness) and torch.equal(first.pose.position, again.pose.position)
@@ -37,6 +34,7 @@ def test_built_lenses_are_drawn_anew(spot_lens):
         assert not torch.equal(first.pose.rotation, one.pose.rotation)
     assert spot_lens.pose is None and spot_lens.melt is None
     assert torch.isinf(first.semi_diameter[1:]).all()  # apertures stay open in a design
+    assert objective_of(None).as_built(spot_lens, 3, 8) == [spot_lens]
 
 
 def test_a_built_lens_carries_the_gradient_of_the_design(spot_lens):

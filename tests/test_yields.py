@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 from examples import cooke_triplet, f64
+from tolerance_examples import grade
 
 from tasklens.cli.app import main
 from tasklens.optics.analysis.pupil import rim
@@ -61,14 +62,14 @@ def test_an_aperture_that_stops_all_rim_rays_darkens_no_field():
     assert not trace_fields(vignetting, view, rim(64)).valid.any()
     radii = lit_semi_diameters(vignetting, view)
     assert 3.9 < float(radii[0]) <= 4.0
-    assert yields.tolerances(vignetting, view, FINE, 1, 0).design.rms_spot_um > 0
+    assert yields.tolerances(vignetting, view, grade(thickness_um=1.0), 1, 0).design.rms_spot_um > 0
 
 
 def test_yields_by_hand():
     """Twenty lenses with spots of 1.0 to 2.9 times the design's, and MTFs of 1.0 to 0.05 times its own."""
     built = [yields.Quality(2 * (1 + 0.1 * k), 3 + k, 0.6 * (1 - 0.05 * k)) for k in range(20)]
     lens = cooke_triplet()
-    error_list = errors(lens, Grade(**dict.fromkeys(GRADES["precision_moulding"], 0.0) | {"thickness_um": 1.0}))[:3]
+    error_list = errors(lens, grade(thickness_um=1.0))[:3]
     simulated = yields.Tolerances(yields.Quality(2, 3, 0.6), built, error_list, f64([1.0, 3.0, 2.0]), None, 0.0)
     data = summary(simulated, "mine", 10.0)
     assert data["yield_by_rms_percent"] == pytest.approx({1.1: 10, 1.25: 15, 1.5: 30, 2.0: 55})
