@@ -2,7 +2,6 @@
 
 import pandas
 import pytest
-from examples import write
 
 from tasklens.runtime.files import FileError
 from tasklens.settings.names import SHARP
@@ -19,11 +18,8 @@ CORRECT = {
 @pytest.fixture
 def files(tmp_path):
     for name, fields in CORRECT.items():
-        columns = {f"field{k}": column for k, column in enumerate(fields)}
-        write(
-            tmp_path / f"{name}.csv",
-            pandas.DataFrame({"image": range(6), "label": LABELS} | columns).to_csv(index=False),
-        )
+        columns = {"image": range(6), "label": LABELS} | {f"field{k}": column for k, column in enumerate(fields)}
+        pandas.DataFrame(columns).to_csv(tmp_path / f"{name}.csv", index=False)
     return {name: tmp_path / f"{name}.csv" for name in CORRECT}
 
 

@@ -150,15 +150,14 @@ def test_a_folder_one_level_too_high_is_refused(folder):
     (folder / "deep").mkdir()
     for split in ("train", "test"):
         (folder / split).rename(folder / "deep" / split)
-    doors = (
+    for door in (
         lambda: class_folders.check(images(folder).model_copy(update={"test": 1})),
         lambda: class_folders.training_classes(folder),
         lambda: photographs.test_images(folder, 16, 10),
         lambda: dataset.training_images(images(folder), folder / "images.npy"),
         lambda: unused_images(folder, 16),
         lambda: ranking_run.image_settings(folder, 16, 10, False, False),
-    )
-    for door in doors:
+    ):
         with pytest.raises(FileError, match=f"but deep has train and test; give {folder}/deep$"):
             door()
     with pytest.raises(FileError, match=f"found only deep; if its folders are the classes, give {folder.name}/deep$"):

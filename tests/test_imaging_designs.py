@@ -118,7 +118,7 @@ def test_a_search_uses_one_thread(search, two_threads):
 def test_a_perturbation_that_makes_it_worse_is_forgotten(monkeypatch):
     """Two evaluations from plane plates give nothing better, so the earlier lens is returned."""
     plates = flat(PLASTICS, SPEC, LIMITS)
-    settings = LeastSquaresSettings(method="least_squares", starts=2, evaluations=40)
+    settings = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     monkeypatch.setattr(least_squares, "_perturb", lambda lens, rng: plates)
     monkeypatch.setattr(least_squares, "_PERTURBATION_EVALUATIONS", 2)
     _, history = least_squares.design(plates, PROBLEM, settings)

@@ -70,7 +70,7 @@ def test_a_descent_that_was_cut_short_has_not_converged(monkeypatch):
     posed = replace(problem(), seed=0)
     objective, gains = Objective(SpotRadius(), posed, None, False, 36), []
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    for steps in (5, 120):
+    for steps in (5, 250):
         part = DescentSettings(steps=steps, criterion="spot", pixels=(10, 1), duration=0.7, final=0.02)
         lens, _, _ = by_descents(plates, lambda part: SpotRadius(), posed, part, rays=64)
         finished = as_saved(lens, VIEW, LIMITS)

@@ -73,27 +73,16 @@ def test_a_perfect_lens_is_read_as_sharp_photographs_are(tmp_path, monkeypatch):
         path.parent.mkdir(parents=True)
         psf_files.write(path, psf, torch.ones(9), {"grading": (0, 9, 1)}, {"fields_mm": [[0, 0]] * 9})
     (lens, classifier, _), (baseline, _, _) = KEYS
-    claim = Claim(
-        table="table1",
-        text=OVER_LEAST_SQUARES,
-        lens=lens,
-        baselines=(baseline,),
-        classifier=classifier,
-        reference=classifier,
-    )
+    compared = {"lens": lens, "baselines": (baseline,), "classifier": classifier, "reference": classifier}
+    claim = Claim(table="table1", text=OVER_LEAST_SQUARES, **compared)
     index = pandas.MultiIndex.from_tuples([(0, "a")], names=["image", "label"])
-    of_study = PackedMeasurements(
-        {},
-        {},
-        answers={key: pandas.DataFrame([[1]], index) for key in KEYS},
-        accuracies={key: {"minival_accuracy": 50.0, "chance": 0.1} for key in KEYS},
-        energy={(lens, seed): 1.0 for lens, _, seed in KEYS},
-    )
-    claims = (claim, claim.model_copy(update={"table": "table2"}))
+    answers = {key: pandas.DataFrame([[1]], index) for key in KEYS}
+    accuracies = {key: {"minival_accuracy": 50.0, "chance": 0.1} for key in KEYS}
+    energy = {(lens, seed): 1.0 for lens, _, seed in KEYS}
+    of_study = PackedMeasurements({}, {}, answers=answers, accuracies=accuracies, energy=energy)
+    claims = Claims(study="tiny", claims=(claim, claim.model_copy(update={"table": "table2"})), seeds=(0,))
     Path("results/tiny/tables").mkdir()
-    answers_file.write(
-        Path("results/tiny/tables/verdicts.npz"), Claims(study="tiny", claims=claims, seeds=(0,)), of_study
-    )
+    answers_file.write(Path("results/tiny/tables/verdicts.npz"), claims, of_study)
     other_classes.main()
     folder = Path("docs/tiny/other_classes")
     accuracy = pandas.read_csv(folder / "accuracies.csv").set_index("lens")["accuracy"]

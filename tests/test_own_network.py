@@ -15,9 +15,7 @@ from torch.utils.data import DataLoader, Subset
 import tasklens
 from tasklens.api.design import verdict
 from tasklens.design import objective
-from tasklens.design.criteria import TaskLoss, loss_at_psf
 from tasklens.design.single import BASELINES, LensRequest, designs
-from tasklens.design.supervision import UserTask
 from tasklens.recognition import classifiers
 from tasklens.recognition import pairs as labelled
 from tasklens.recognition.classifiers import Classifier
@@ -26,7 +24,6 @@ from tasklens.recognition.sharp import check_accuracy
 from tasklens.recognition.training import fit
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_tensors
-from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.network_settings import TrainingSettings
 
 LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-imaging3.yaml"
@@ -78,22 +75,6 @@ def test_a_loss_of_ones_own(images):
     options = {"images": pairs(images), "network": Mean(), "loss": lambda answer, labels: -answer[1]}
     lens, _, notes = tasklens.design_lens("task", ["COC"], settings=QUICK, **options, **SPEC)
     assert lens.curvature.any() and notes["origin"]["validation_loss"] < 0
-
-
-def test_fields_weigh_by_a_loss_for_each_image(network):
-    """The gradient at the PSFs of a weighted field is its weight times that without weights, in parts of any size."""
-    frozen = classifiers.frozen(Classifier(network), torch.zeros(4, 3, 32, 32))
-    generator = torch.Generator().manual_seed(0)
-    sharp, grid = torch.rand(4, 3, 32, 32, generator=generator), torch.rand(2, 3, 5, 5, generator=generator) / 25
-    labels, weights = torch.arange(4) % 3, torch.tensor([0.4, 1.6])
-    criterion = TaskLoss(frozen, UserTask(lambda logits, labels: cross_entropy(logits, labels, reduction="none")))
-    equal, weighted, parts = (
-        loss_at_psf(criterion, sharp, labels, grid, CaptureSettings(), size, weights=w)
-        for size, w in ((8, None), (8, weights), (3, weights))
-    )
-    for result in (weighted, parts):
-        torch.testing.assert_close(result[0], weights * equal[0], rtol=1e-5, atol=0)
-        torch.testing.assert_close(result[1], weights[:, None, None, None] * equal[1], rtol=1e-4, atol=1e-8)
 
 
 @pytest.mark.parametrize(

@@ -121,11 +121,11 @@ def test_a_lens_without_light_is_counted():
     """An aperture that is decentred by more than its width: captures are grey, and the lens has failed."""
     lens = replace(doublet()[0], semi_diameter=f64([0.5, 0.6, 0.6, 0.8, 0.8]))
     process = production_of(grade(element_decentre_um=1000.0), lens)
-    rows = production.built_lenses(process, 8, 0, IMAGES)
+    rows = production.built_lenses(process, 20, 0, IMAGES)
     failed = [row for row in rows if row["failed"]]
-    assert 0 < len(failed) < 8 and not rows[0]["failed"]
+    assert 0 < len(failed) < 20 and not rows[0]["failed"]
     summary = tolerance_page.distribution(rows)
-    assert summary["failed_lenses"] == len(failed) and summary["built"] == 8
+    assert summary["failed_lenses"] == len(failed) and summary["built"] == 20
 
 
 def test_single_errors_and_allotted_tolerances():

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 import torch
-from designs import LIMITS, NO_LIMITS, VIEW, image_error, problem, task_design, tiny_network
-from examples import by_descents, changed, materials, tiny_study
+from designs import LIMITS, NO_LIMITS, VIEW, task_design, tiny_network
+from examples import changed, materials, tiny_study
 
 from tasklens.design import descents, least_squares, methods, optimizers, ray_space
 from tasklens.design.constraints import (
@@ -54,21 +54,6 @@ def test_a_gradient_holds_a_limit_violated_by_its_share_of_the_weight(weight, he
         place = place + model.step(gradient, 10.0, 0.1, weight)
         path.append(float(place[0]))
     assert max(path[50:]) == pytest.approx(held, rel=0.1)
-
-
-def test_limits_are_hard_where_pixels_have_their_last_size(start, monkeypatch):
-    """Validation and the end of a descent use this size; on the way, a lens may violate limits."""
-    weights, step = [], LinearModel.step
-
-    def record(model, gradient, step_size, damping, weight=SOFT):
-        if gradient.any():  # not the repair of a lens that is validated
-            weights.append(weight)
-        return step(model, gradient, step_size, damping, weight)
-
-    monkeypatch.setattr(LinearModel, "step", record)
-    part = DescentSettings(steps=6, pixels=(20, 5), duration=0.5, criterion="log_image_error")
-    by_descents(start, image_error, problem(), part)
-    assert weights == 3 * [SOFT] + 3 * [HARD]
 
 
 def test_lenses_are_validated_as_they_are_saved(spot_lens):

@@ -100,15 +100,13 @@ def test_scores_of_shifted_scenes_against_another_implementation(by, overlap):
     for image in range(12):
         labels, masks = scenes.objects_of(image)
         truths.append(Detections(objects.boxes(masks), labels, None, encode(masks)))
-        shifted = torch.stack(
-            [m.roll(tuple(torch.randint(-3, 4, (2,), generator=generator).tolist()), (0, 1)) for m in masks]
-        )
+        shifts = torch.randint(-3, 4, (len(masks), 2), generator=generator).tolist()
+        shifted = torch.stack([m.roll(shift, (0, 1)) for m, shift in zip(masks, shifts, strict=True)])
         visible = torch.rand(len(labels), generator=generator) < 0.8
         other = torch.where(torch.rand(len(labels), generator=generator) < 0.2, (labels + 1) % 10, labels)
         scores = torch.rand(len(labels), generator=generator)
-        answers.append(
-            Detections(objects.boxes(shifted)[visible], other[visible], scores[visible], encode(shifted[visible]))
-        )
+        seen = shifted[visible]
+        answers.append(Detections(objects.boxes(seen), other[visible], scores[visible], encode(seen)))
     expected = own_average_precision(answers, truths, 0.5, 10, overlap)
     assert average_precision(answers, truths, 10, by)["ap50"] == pytest.approx(expected, abs=1e-6)
     assert 5 < expected < 95
