@@ -101,7 +101,7 @@ def test_contrast_alone_makes_a_lens():
     """From plates, without classifier or images: the loss of contrast falls by a quarter."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
     steps, contrast = DescentSettings(steps=20, pixels=(20, 10), criterion="contrast"), Contrast()
-    lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, batch_size=1, rays=32)
+    lens, origin, _ = by_descents(plates, lambda part: contrast, problem(), steps, steps, batch_size=1, rays=32)
     objective = Objective(contrast, problem(), None, False, 1)
     saved = as_saved(lens, problem().view, LIMITS)
     before, after = (objective.validation_loss(candidate, 10.0) for candidate in (plates, saved))

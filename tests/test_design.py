@@ -100,9 +100,9 @@ def test_a_descent_that_destroys_a_lens_returns_its_best(start):
     """At rates a hundred times too large: the lens with the least validation loss comes back."""
     options = {"network_learning_rate": None, "classes": 1, "pixels": (10, 10)}
     rates = LEARNING_RATES.model_copy(update={"curvature": 1.0})
-    lens, history = adamw_descent(Contrast(), start, steps=20, learning_rates=rates, **options)
+    lens, history = adamw_descent(Contrast(), start, steps=12, learning_rates=rates, **options)
     validated = [row["validation_loss"] for row in history]
-    assert len(validated) == 20 and validated[-1] > min(validated) + 0.003
+    assert len(validated) == 12 and validated[-1] > min(validated) + 0.003
     _, again = adamw_descent(Contrast(), lens, steps=2, **options)
     assert again[0]["validation_loss"] == pytest.approx(min(validated), rel=1e-6)
 
@@ -120,7 +120,7 @@ class Confident(Contrast):
 
 def test_a_network_that_learns_does_not_hide_that_its_lens_is_destroyed(start):
     """The loss is least at the end, since the network has learned; the lens is still the one with the least blur."""
-    options = {"steps": 20, "learning_rates": LEARNING_RATES.model_copy(update={"curvature": 1.0}), "classes": 1}
+    options = {"steps": 12, "learning_rates": LEARNING_RATES.model_copy(update={"curvature": 1.0}), "classes": 1}
     lens, history = adamw_descent(Confident(), start, network_learning_rate=0.5, **options)
     validated = [row["validation_loss"] for row in history]
     assert min(validated) == validated[-1] < validated[0] - 0.1

@@ -34,8 +34,8 @@ CAPTURE = CaptureSettings(sensor=SensorSettings())
 NAFNET = RestorationSettings(width=4, encoder=(1,), decoder=(1,), steps=4, check=2, batch_size=4)
 
 
-def data(device):
-    return replace(random_images(40, 16, 3, 0), device=device)
+def data(device, count=40):
+    return replace(random_images(count, 16, 3, 0), device=device)
 
 
 def camera(device) -> PsfCamera:
@@ -63,7 +63,7 @@ def restoring(device, start) -> list[float]:
 
 def design(device, start) -> list[float]:
     """A lens after steps of joint descent; rays stay on the CPU."""
-    problem = Problem(VIEW, LIMITS, 1, CaptureSettings(), data(device))
+    problem = Problem(VIEW, LIMITS, 1, CaptureSettings(), data(device, 8))
     part = DescentSettings(optimizer="adamw", steps=3, learning_rates=LEARNING_RATES, network_learning_rate=1e-5)
     criterion = JointTaskLoss(small_network(0).to(device), 1e-5, 3, 0.1)
     lens, _, history = by_descents(start, lambda part: criterion, problem, part)

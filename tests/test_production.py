@@ -33,12 +33,6 @@ NOISE = torch.rand(6, 3, 40, 40, generator=torch.Generator().manual_seed(0)) - 0
 IMAGES = 0.5 + NOISE * torch.where(LABELS == 1, 1.0, 0.5)[:, None, None, None], LABELS
 
 
-@pytest.fixture(autouse=True)
-def fewer_rays(monkeypatch):
-    """A quarter of the rays: they are most of the time."""
-    monkeypatch.setattr(production, "RAYS", 256)
-
-
 def contrast(captures: torch.Tensor) -> torch.Tensor:
     """Logits of a classifier that tells images of high contrast, unless their captures are much blurred."""
     deviation = captures.flatten(1).std(-1)
@@ -68,7 +62,7 @@ def test_the_design_comes_first_and_errors_cost_sharpness():
 
 
 def test_a_production_goes_on_where_it_was_killed(tmp_path, monkeypatch):
-    process = production_of(Grade.model_validate("commercial_moulding"))
+    process = production_of(grade(radius_percent=1.0, thickness_um=30.0))
     whole = production.built_lenses(process, 4, 5, IMAGES)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
     measured = []
@@ -91,7 +85,7 @@ def test_a_production_goes_on_where_it_was_killed(tmp_path, monkeypatch):
 @pytest.mark.parametrize("kills", [4, 10])  # of 6 measurements of errors, and of 2 in each trial
 def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, monkeypatch, kills):
     """With the same numbers, and at most the measurements of one error or trial twice."""
-    process = production_of(Grade.model_validate("commercial_moulding"))
+    process = production_of(grade(radius_percent=1.0, thickness_um=30.0))
     displacement_um = displacements(process.lens, process.view, process.errors, 64)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
     monkeypatch.setattr("tasklens.optics.tolerancing.allocation.YIELD", 0.5)  # of two lenses, one

@@ -152,7 +152,7 @@ def test_every_finished_design_is_within_its_limits(spot_lens, monkeypatch, name
 def test_a_step_far_outside_the_limits_is_taken_back(monkeypatch, few_rays):
     """Steps are halved: long steps then violate limits only a little, instead of destroying the lens."""
     plates = flat(materials("COC", "OKP4"), Spec(kernel_size=11), LIMITS)
-    far = DescentSettings(steps=12, pixels=(20, 20), step_size=5.0)
+    far = DescentSettings(steps=6, pixels=(20, 20), step_size=5.0)
 
     def longest() -> float:
         _, history = task_design(tiny_network(), plates, parts=(far,))

@@ -115,7 +115,7 @@ def test_crops_train_a_network_for_whole_captures():
     images, _ = minival.batch(torch.arange(8))
     captures = blurred()(images, torch.zeros(8, dtype=torch.long))
     before = psnr(captures, images).mean()
-    cropped = TINY.model_copy(update={"crop": 16, "steps": 60})
+    cropped = TINY.model_copy(update={"crop": 16, "steps": 120})
     _, history = nafnet_training.train(cropped, sharp, minival, *PIPELINES, 0)
     assert history[-1]["psnr_db"] > before + 0.5
     whole, cut = (

@@ -15,7 +15,7 @@ def test_scenes_are_balanced_and_shuffled():
 
 
 def test_scenes_depend_on_the_seed_only():
-    first, again, other = (scenes.render(5, 16, seed) for seed in (5, 5, 6))
+    first, again, other = (scenes.render(10, 16, seed) for seed in (5, 5, 6))
     assert torch.equal(first[0], again[0]) and torch.equal(first[1], again[1])
     assert not torch.equal(first[0], other[0])
 
