@@ -124,7 +124,7 @@ def test_table_of_an_ablation(tmp_path, monkeypatch):
     study = parse(changed(with_ablation(RAYS), "seeds", [0, 1, 2, 3, 4]))
     base, variant = "singlet-tasklens", "singlet-tasklens_mine_few"
     compared = claims.ablation_claims(study, "mine")
-    assert compared.base == base and [claim.lens for claim in compared.claims.claims] == [variant]
+    assert [(claim.lens, claim.baselines) for claim in compared.claims] == [(variant, (base,))]
     lenses = {base: 0.5, variant: 0.8}
     write_results(study, lambda lens, *_: lenses[lens], lenses=lenses)
     worst = outputs("design", study, lens=variant, seed=4).lens

@@ -13,7 +13,7 @@ from examples import changed, random_images, tiny_study, trained_network
 from safetensors.torch import save_file
 from torch import nn
 
-from tasklens.recognition import classifiers, evaluation, folders, image_files, networks
+from tasklens.recognition import classifiers, evaluation, folders, image_tensors, networks
 from tasklens.recognition import dataset as data
 from tasklens.runtime import user_code
 from tasklens.runtime.errors import InputError
@@ -186,7 +186,7 @@ def test_published_weights_reproduce_their_accuracy():
     arguments = {"pad_type": "same", "pretrained_cfg_overlay": normalised}
     settings = ClassifierSettings(model="mobilenetv2_100", arguments=arguments, weights=weights, outputs="imagenet")
     result = folders.find(SHARED / "data" / "imagenette" / "val", None, 0)
-    images = torch.stack([image_files.read(file, 224) for file in result.files])
+    images = torch.stack([image_tensors.read(file, 224) for file in result.files])
     dataset = data.ImageDataset(images, result.labels, result.classes)
     classifier = classifiers.build(settings, result.classes).eval()
     result = evaluation.evaluate(classifier, dataset, evaluation.CapturePipeline())

@@ -14,7 +14,7 @@ from PIL import Image
 from reference_files import SHIPPED
 
 from tasklens.recognition import dataset as data
-from tasklens.recognition import folders, image_files
+from tasklens.recognition import folders, image_tensors
 from tasklens.runtime import checkpoints, files
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.files import FileError
@@ -150,7 +150,7 @@ def test_a_photograph_looks_alike_in_every_format(name):
     with Image.open(PHOTOGRAPHS / "original.png") as original:
         converted = original.convert("L").convert("RGB") if "grey" in name else original.convert("RGB")
     expected = torch.from_numpy(numpy.array(converted)).permute(2, 0, 1)
-    pixels = image_files.read(PHOTOGRAPHS / name, 48)
+    pixels = image_tensors.read(PHOTOGRAPHS / name, 48)
     lossless = name in ("original.png", "alpha.webp", "deep_grey.png", "deep_colour.png")
     difference = (pixels.float() - expected.float()).abs().mean()
     assert difference == 0 if lossless else difference < 5
@@ -161,13 +161,13 @@ def test_the_central_square_is_kept(tmp_path):
     wide = Image.new("RGB", (60, 20), "white")
     wide.paste((0, 0, 0), (15, 0, 45, 20))
     wide.save(tmp_path / "wide.png")
-    assert (folders.read(tmp_path / "wide.png", 16) == 0).all()
+    assert (image_tensors.read(tmp_path / "wide.png", 16) == 0).all()
 
 
 def test_an_image_of_any_size_is_read(tmp_path):
     """Pillow alone refuses more than 179 million pixels."""
     Image.new("L", (190_000, 1_000), 60).save(tmp_path / "large.png", compress_level=1)
-    assert (image_files.read(tmp_path / "large.png", 16) == 60).all()
+    assert (image_tensors.read(tmp_path / "large.png", 16) == 60).all()
 
 
 def test_threads_change_nothing(tmp_path, monkeypatch):
@@ -190,8 +190,8 @@ def test_a_killed_conversion_goes_on(tmp_path, monkeypatch, writes):
     settings = ImageSettings(size=16, minival=3, folder=make_folder(tmp_path, train=20))
     paths = paths_in(tmp_path)
     all_paths = [path for pair in paths.values() for path in pair]
-    read, decoded = image_files.read, []
-    monkeypatch.setattr(image_files, "read", lambda *rest: (decoded.append(rest), read(*rest))[1])
+    read, decoded = image_tensors.read, []
+    monkeypatch.setattr(image_tensors, "read", lambda *rest: (decoded.append(rest), read(*rest))[1])
     monkeypatch.setattr(folders, "_BLOCK", 4)
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
     data.make(settings, paths)
@@ -256,7 +256,7 @@ def files_in(folder: Path) -> list[Path]:
 def test_a_full_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
     folder = make_folder(tmp_path)
     monkeypatch.setattr(files.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000}))
-    monkeypatch.setattr(image_files, "read", lambda *rest: pytest.fail("an image was decoded"))
+    monkeypatch.setattr(image_tensors, "read", lambda *rest: pytest.fail("an image was decoded"))
     with pytest.raises(FileError, match=r"train\.npy: needs 0\.0 MB"):
         make_splits(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
     assert not files_in(tmp_path / "out")

@@ -29,7 +29,7 @@ from zemax_texts import CATALOGUE_TEXT, LENS_TEXT
 
 from tasklens.materials import catalogues
 from tasklens.optics.io import prescription, zemax
-from tasklens.recognition import image_files
+from tasklens.recognition import image_tensors
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.study import loading
@@ -298,5 +298,5 @@ IMAGES = [
 @given(st.one_of(*IMAGES, png_files()), st.sampled_from(["image.png", "image.jpg"]))
 @pytest.mark.filterwarnings("ignore")
 def test_an_image_is_read_or_refused(folder, content, name):
-    image = read_or_refuse(folder / name, content, lambda path: image_files.read(path, 8))
+    image = read_or_refuse(folder / name, content, lambda path: image_tensors.read(path, 8))
     assert image is None or (image.shape, image.dtype) == ((3, 8, 8), torch.uint8)

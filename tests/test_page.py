@@ -12,6 +12,7 @@ from rules import workflow
 from safetensors.numpy import save_file
 
 from tasklens.runtime.files import read_table
+from tasklens.show import publish
 from tasklens.show.optimality import Optimum
 from tasklens.study.claims import (
     FEWER_ELEMENTS,
@@ -150,7 +151,7 @@ def test_optional_tables_are_known_by_the_names_of_their_files():
     """Each has a caption; another name would be taken for an ablation, and its chart left out."""
     rules = [workflow().get_rule(f"{name}_table") for name in ("merit_function", "tolerances", "tasks")]
     files = [Path(str(path)) for rule in rules for path in rule.output if str(path).endswith(".csv")]
-    assert len(files) == 4 and {*map(assembly.table_name, files)} <= set(assembly._CAPTIONS)
+    assert len(files) == 4 and {*map(assembly.table_name, files)} <= set(publish.TITLES)
 
 
 TABLE = pandas.DataFrame(

@@ -49,12 +49,12 @@ def test_numbers_at_the_edge(name, value, text):
 
 
 def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_markdown(tmp_path):
-    csv, md = tmp_path / "new" / "t.csv", tmp_path / "new" / "t.md"
-    publish(csv, md, "Title", TABLE, "A note.")
+    csv, md = tmp_path / "new" / "sweep.csv", tmp_path / "new" / "sweep.md"
+    publish(csv, md, TABLE, "A note.")
     frame = pandas.read_csv(csv)
     assert list(frame) == list(TABLE) and frame["accuracy"].tolist()[::2] == [71.256, 60.0]
     lines = md.read_text().splitlines()
-    assert lines[:2] == ["**Title**", ""] and lines[-2:] == ["", "A note."]
+    assert lines[:2] == ["**Sweep**", ""] and lines[-2:] == ["", "A note."]
     body = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("|")]
     assert body[0][:2] == ["lens", "accuracy [%]"] and body[2][:3] == ["a", "71.3 ± 1.0", "5"]
     assert body[3][1] == "–" and len(body) == 2 + 3
@@ -63,13 +63,13 @@ def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_mark
 
 def test_the_markdown_may_show_another_table(tmp_path):
     csv, md = tmp_path / "t.csv", tmp_path / "t.md"
-    publish(csv, md, "Title", TABLE, "A note.", TABLE[["lens"]])
+    publish(csv, md, TABLE, "A note.", TABLE[["lens"]])
     assert list(pandas.read_csv(csv)) == list(TABLE) and "accuracy" not in md.read_text()
 
 
 def test_an_empty_table_is_a_title_and_a_note(tmp_path):
     """Its CSV has the columns, for programs that read it."""
-    csv, md = tmp_path / "t.csv", tmp_path / "t.md"
-    publish(csv, md, "Title", TABLE.iloc[:0], "Nothing.")
-    assert md.read_text() == "**Title**\n\nNothing.\n"
+    csv, md = tmp_path / "ablation_a_b.csv", tmp_path / "t.md"
+    publish(csv, md, TABLE.iloc[:0], "Nothing.")
+    assert md.read_text() == "**Ablation: a b**\n\nNothing.\n"
     assert list(pandas.read_csv(csv)) == list(TABLE)

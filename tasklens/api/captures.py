@@ -19,13 +19,13 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
 from tasklens.recognition import class_folders, folders, photographs
-from tasklens.recognition.image_files import Image, image_tensor
+from tasklens.recognition.image_tensors import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
 from tasklens.runtime.tensors import as_tensor, explain_errors
 from tasklens.settings.capture_settings import SensorSettings
-from tasklens.show.image_files import write_captures
+from tasklens.show.image_tensors import write_captures
 
 FIELDS = "fields.csv"  # of the captures of a folder
 _DRAWS = 8  # draws of nine fields

@@ -14,7 +14,7 @@ import numpy
 import torch
 from PIL import Image, ImageOps
 
-from tasklens.recognition import image_files
+from tasklens.recognition import image_tensors
 from tasklens.recognition.objects import ObjectDataset, pack
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
@@ -55,7 +55,7 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
     images = torch.empty(len(order), 3, size, size, dtype=torch.uint8)
     owners, labels, masks = [], [], []
     for k, entry in enumerate(entries[k] for k in order.tolist()):
-        photograph = image_files.decode(folder / split / entry["file_name"])
+        photograph = image_tensors.decode(folder / split / entry["file_name"])
         if photograph.size != (entry["width"], entry["height"]):
             raise FileError(
                 f"{path}: image {entry['file_name']} has {photograph.size[0]} x {photograph.size[1]} pixels, "

@@ -9,7 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from tasklens.recognition import class_folders, image_files
+from tasklens.recognition import class_folders, image_tensors
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.files import FileError, resumable_of, writing_array
 from tasklens.runtime.progress import Progress
@@ -89,7 +89,7 @@ def convert(listing: Listing, size: int, path: Path, threads: int, checkpoint: C
             files = listing.files[first : first + _BLOCK]
             for i, file in enumerate(files, first):
                 try:
-                    array[i] = image_files.read(file, size)
+                    array[i] = image_tensors.read(file, size)
                 except FileError as error:
                     errors.append(error)
             return first + len(files)
@@ -115,7 +115,7 @@ def read_all(files: Sequence[Path], size: int) -> Tensor:
     images, errors = torch.zeros(len(files), 3, size, size, dtype=torch.uint8), []
     for i, file in enumerate(files):
         try:
-            images[i] = image_files.read(file, size)
+            images[i] = image_tensors.read(file, size)
         except FileError as error:
             errors.append(error)
     if errors:
@@ -128,7 +128,7 @@ def check_readable(files: Sequence[Path]) -> None:
     errors, progress = [], Progress("checking photographs", len(files))
     for step, file in enumerate(files, 1):
         try:
-            image_files.decode(file)
+            image_tensors.decode(file)
         except FileError as error:
             errors.append(error)
         progress(step)

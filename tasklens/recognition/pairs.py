@@ -8,7 +8,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader
 
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.recognition.image_files import image_tensor
+from tasklens.recognition.image_tensors import image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import as_tensor
 

@@ -7,6 +7,27 @@ import pandas
 from tasklens.runtime.files import write_text
 from tasklens.show import headings
 
+TITLES = {  # of tables, by the stem of their files
+    "table1": "Table 1: accuracy, image quality and spot size of each lens",
+    "table2": "Table 2: accuracy with other classifiers",
+    "table3": "Table 3: task-driven against end-to-end design",
+    "table4": "Table 4: after image restoration",
+    "verdicts": "Verdicts on the paper's claims",
+    "psf_tail": "Tails of the PSFs: core (50 % of the light about the chief ray) and light outside three core radii",
+    "effort": "Effort of each design: lens evaluations, and wall time",
+    "tolerances": "Built lenses: what each design loses in manufacture",
+    "tolerances_compared": "What a task-driven lens loses in manufacture minus what an imaging lens loses [points]",
+    "tasks": "Other tasks: scores of their networks through each lens",
+    "merit_function": "Merit functions: weight of each spatial frequency [cycles per pixel] for each classifier",
+    "sweep": "Sweep",
+    "ranking": "Which lens for this network?",
+}
+
+
+def title(name: str) -> str:
+    """Return the title of a table, by the stem of its file."""
+    return TITLES.get(name) or f"Ablation: {name.removeprefix('ablation_').replace('_', ' ')}"
+
 
 def markdown(table: pandas.DataFrame) -> str:
     """Format a table of texts in Markdown."""
@@ -18,9 +39,7 @@ def right_aligned(table: pandas.DataFrame) -> str:
     return table.to_markdown(index=False, disable_numparse=True, stralign="right")
 
 
-def publish(
-    csv: Path, md: Path, title: str, table: pandas.DataFrame, note: str, shown: pandas.DataFrame | None = None
-) -> None:
+def publish(csv: Path, md: Path, table: pandas.DataFrame, note: str, shown: pandas.DataFrame | None = None) -> None:
     """Write a table as CSV and as Markdown.
 
     Args:
@@ -30,4 +49,4 @@ def publish(
     write_text(csv, table.to_csv(index=False))
     shown = table if shown is None else shown
     body = f"{markdown(headings.texts(shown))}\n\n" if len(shown) else ""
-    write_text(md, f"**{title}**\n\n{body}{note}\n")
+    write_text(md, f"**{title(csv.stem)}**\n\n{body}{note}\n")

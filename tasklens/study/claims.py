@@ -110,14 +110,6 @@ class Claims(Frozen):
         return [MeasuredKey(*pair, seed) for pair in pairs for seed in self.seeds]
 
 
-class AblationClaims(Frozen):
-    """An ablation: the name of its base lens, and a claim about each variant."""
-
-    name: str
-    base: str
-    claims: Claims
-
-
 def claims(study: Study) -> Claims:
     """Return every claim for which a study has the lenses, table by table."""
     all_claims = []
@@ -167,13 +159,13 @@ def comparison(study: Study, elements: str, seed: int) -> Claims:
     return Claims(study=study.name, claims=tuple(pick(claims_by_elements(study), elements, kind)), seeds=(seed,))
 
 
-def ablation_claims(study: Study, name: str) -> AblationClaims:
+def ablation_claims(study: Study, ablation: str) -> Claims:
     """Compare each variant of an ablation with its base lens, by the supervisor; raises StudyError."""
-    ablation = pick(study.ablations, name, "ablation")
-    base = f"{ablation.elements}-{ablation.design}"
-    variants = (f"{ablation.elements}-{ablation.name(name, variant)}" for variant in ablation.variants)
+    entry = pick(study.ablations, ablation, "ablation")
+    base = f"{entry.elements}-{entry.design}"
+    variants = (f"{entry.elements}-{entry.name(ablation, variant)}" for variant in entry.variants)
     comparisons = tuple(_of_supervisor(study, "ablation", OVER_BASE, lens, [base]) for lens in variants)
-    return AblationClaims(name=name, base=base, claims=Claims(study=study.name, claims=comparisons, seeds=study.seeds))
+    return Claims(study=study.name, claims=comparisons, seeds=study.seeds)
 
 
 def _of_supervisor(study: Study, table: str, text: str, lens: str, baselines: list[str]) -> Claim:

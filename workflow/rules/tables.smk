@@ -52,7 +52,7 @@ rule verdicts_table:
 rule ablation:
     """Make the table of one ablation: a design and its variants."""
     input:
-        **claim_inputs(lambda study, ablation: paper_claims.ablation_claims(study, ablation).claims),
+        **claim_inputs(paper_claims.ablation_claims),
     output:
         csv=report_output("results/{study}/tables/ablation_{ablation}.csv", "ablation", table="ablation {ablation}"),
         md="results/{study}/tables/ablation_{ablation}.md",
@@ -65,7 +65,7 @@ rule ablation:
         **needs("ablation"),
     params:
         **call("tasklens.study.report.ablation_table.make"),
-        settings=settings(lambda study, ablation: paper_claims.ablation_claims(study, ablation)),
+        settings=settings(paper_claims.ablation_claims),
     script:
         "../scripts/job.py"
 

@@ -57,4 +57,4 @@ def summarise(rows: pandas.DataFrame) -> pandas.DataFrame:
 def publish_tails(study: str, by_field: Rows, csv: Path, md: Path) -> None:
     """Write the table of rows (lens, seed, field, ...) as CSV and Markdown."""
     table = summarise(means(by_field))
-    publish(csv, md, "Tails of the PSFs", table, _NOTE.format(study=study))
+    publish(csv, md, table, _NOTE.format(study=study))

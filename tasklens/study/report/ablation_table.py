@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas
 
 from tasklens.show.publish import publish
-from tasklens.study.claims import AblationClaims
+from tasklens.study.claims import Claims
 from tasklens.study.report import answers_file, verdicts
 from tasklens.study.report.measurements import MeasurementFiles, Measurements
 
@@ -15,13 +15,12 @@ With fewer than {least} seeds, differences are only suggested. A variant that ch
 own capture."""
 
 
-def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.DataFrame:
+def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     """Return a row for the base lens, then one per variant: accuracy, difference with interval, figures of the lens."""
-    claims = ablation.claims
     differences = verdicts.collect(claims, measurements).set_index("lens")
     classifier = claims.claims[0].classifier
     rows = []
-    for lens in (ablation.base, *differences.index):
+    for lens in (*claims.claims[0].baselines, *differences.index):
         seed_values = [
             measurements.values(lens, classifier, seed) | measurements.lens_values(lens, seed) for seed in claims.seeds
         ]
@@ -34,15 +33,11 @@ def collect(ablation: AblationClaims, measurements: Measurements) -> pandas.Data
     return pandas.DataFrame(rows).merge(comparison, on="lens", how="left")
 
 
-def make(ablation: AblationClaims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
+def make(claims: Claims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
     """Write the table as CSV and Markdown, and the answers from which its intervals can be recomputed."""
-    claims = ablation.claims
     measurements = Measurements.of(claims, files)
-    rows = collect(ablation, measurements)
+    rows = collect(claims, measurements)
     answers_file.write(answers, claims, measurements)
-    note = _NOTE.format(
-        study=claims.study, base=ablation.base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS
-    )
-    publish(
-        csv, md, f"Ablation: {ablation.name}", rows, "\n".join([note, *verdicts.fitted_lenses(claims, measurements)])
-    )
+    (base,) = claims.claims[0].baselines
+    note = _NOTE.format(study=claims.study, base=base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS)
+    publish(csv, md, rows, "\n".join([note, *verdicts.fitted_lenses(claims, measurements)]))

@@ -58,4 +58,4 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
 def make(settings: Efforts, lenses: Sequence[Path], benchmarks: Sequence[Path], csv: Path, md: Path) -> None:
     """Write the efforts as CSV and Markdown; `lenses` only make Snakemake wait for the designs."""
     rows = collect(settings, benchmarks)
-    publish(csv, md, "Effort of each design", rows, _NOTE.format(study=settings.study))
+    publish(csv, md, rows, _NOTE.format(study=settings.study))

@@ -109,7 +109,7 @@ def make(
     ranking = predicted[supervisor]
     table = pandas.DataFrame([_row(name, fits[name], losses[name], predicted[name], ranking) for name in losses])
     note = _NOTE.format(study=settings.study, fields=fields, lenses=len(names), supervisor=supervisor)
-    publish(csv, md, "Merit functions of the classifiers", table, note)
+    publish(csv, md, table, note)
     _draw(figure, fits, losses, predicted)
 
 

@@ -78,7 +78,7 @@ def make(
     left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
     note += _ZERO_SHOT if "zero_shot_accuracy" in table else ""
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
-    publish(csv, md, "Which lens for this network?", table, below)
+    publish(csv, md, table, below)
     drawings = {
         lens: section_svg(prescribed.lens, view_of(prescribed.lens, content, str(files[lens])))
         for lens, (prescribed, content) in contents.items()

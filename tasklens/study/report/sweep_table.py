@@ -48,4 +48,4 @@ def make(settings: SweepJob, tables: Sequence[Path], csv: Path, md: Path) -> Non
     """Write the table as CSV and Markdown; the files are those of `settings.tables`."""
     numbers = collect(settings, tables)
     note = _NOTE.format(study=settings.study)
-    publish(csv, md, "Sweep", numbers.drop(columns="point"), note, side_by_side(numbers))
+    publish(csv, md, numbers.drop(columns="point"), note, side_by_side(numbers))

@@ -18,7 +18,7 @@ from tasklens.settings import names
 from tasklens.settings.names import SHARP
 from tasklens.show import headings
 from tasklens.show.headings import PAPER, STD
-from tasklens.show.publish import publish
+from tasklens.show.publish import publish, title
 from tasklens.study.report.measurements import FIELD, Measurements, has_failed
 from tasklens.study.table_contents import TableContents
 
@@ -41,12 +41,6 @@ _COLUMNS = {
 }
 _ZERO_SHOT = "zero_shot_accuracy"  # in tables 1 and 2, if a network has more outputs than classes
 _ELSEWHERE = ("corner_accuracy", "accuracy_at_design_fields", "accuracy_at_nine")  # if they were measured
-_TITLES = {
-    "table1": "Classification accuracy, image quality and spot size of each lens",
-    "table2": "Accuracy with other classifiers",
-    "table3": "Task-driven against end-to-end design",
-    "table4": "After image restoration",
-}
 
 
 def collect(contents: TableContents, measurements: Measurements) -> pandas.DataFrame:
@@ -152,9 +146,8 @@ def make(
     rows = collect(contents, measurements)
     rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name], "minival_accuracy"])))
     table = summarise(contents, rows, published)
-    title = f"Table {contents.name[-1]}: {_TITLES[contents.name]}"
     note = f"Study `{contents.study}`. Columns marked paper: Yang et al. 2024, on ImageNet with other networks."
-    publish(csv, md, title, table, note)
+    publish(csv, md, table, note)
     by_field = [name for name in rows if str(name).startswith(FIELD)]
     keys = ("elements", "design", "classifier", "seed")
     columns = (*keys, *_columns(contents, rows), "reference_accuracy", "chance", *by_field)
@@ -166,7 +159,8 @@ def make(
 
 def _caption(contents: TableContents, table: pandas.DataFrame) -> str:
     """Return the caption without a number, since LaTeX numbers tables."""
-    parts = [f"{_TITLES[contents.name]}.", f"Study {contents.study}."]
+    text = title(contents.name).partition(": ")[2]
+    parts = [f"{text[0].upper()}{text[1:]}.", f"Study {contents.study}."]
     if any(str(name).endswith(STD) for name in table):
         parts.append("Mean ± standard deviation over seeds.")
     if any(any(headings.best(table, name)) for name in headings.columns(table)):

@@ -61,6 +61,6 @@ def make(
         lenses, psfs: files of `settings.drawn`.
     """
     rows = collect(dict(zip(settings.score_keys, metrics, strict=True)))
-    publish(csv, md, "Other tasks", rows, _NOTE.format(study=settings.study))
+    publish(csv, md, rows, _NOTE.format(study=settings.study))
     panels = [Panel.read(*arguments) for arguments in zip(settings.drawn, lenses, psfs, strict=True)]
     figures.compare_psfs(figure, panels)

@@ -99,5 +99,5 @@ def make(settings: BuiltContents, built_lenses: Sequence[Path], csv: Path, md: P
     )
     if len(comparison):
         note += f"\n\n{_QUESTION.format(over=over)}\n\n{markdown(headings.texts(comparison))}"
-    publish(csv, md, "Built lenses", rows, note)
+    publish(csv, md, rows, note)
     write_text(compared_csv, comparison.to_csv(index=False))

@@ -215,4 +215,4 @@ def make(claims: Claims, files: MeasurementFiles, csv: Path, md: Path, answers: 
     note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
     note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
     note = "\n".join([note, *fitted_lenses(claims, measurements)])
-    publish(csv, md, "Verdicts on the paper's claims", rows, note)
+    publish(csv, md, rows, note)

@@ -17,24 +17,12 @@ from tasklens.runtime.files import FileError, damage_error, read_json, read_tabl
 from tasklens.show import pictures
 from tasklens.show.headings import STD
 from tasklens.show.optimality import optimum
+from tasklens.show.publish import title
 from tasklens.study.report import answer as answer_figure
 from tasklens.study.report.page import gallery, page_captures, page_charts, page_tables, words
 from tasklens.study.report_jobs import ReportJob
 
 LARGEST_MB = 15.0
-_CAPTIONS = {
-    "table1": "Table 1: accuracy, image quality and spot size of each lens",
-    "table2": "Table 2: accuracy with other classifiers",
-    "table3": "Table 3: task-driven against end-to-end design",
-    "table4": "Table 4: after image restoration",
-    "verdicts": "Verdicts on the paper's claims",
-    "psf_tail": "Tails of the PSFs: core (50 % of the light about the chief ray) and light outside three core radii",
-    "effort": "Effort of each design: lens evaluations, and wall time",
-    "tolerances": "Built lenses: what each design loses in manufacture",
-    "tolerances_compared": "What a task-driven lens loses in manufacture minus what an imaging lens loses [points]",
-    "tasks": "Other tasks: scores of their networks through each lens",
-    "merit_function": "Merit functions: weight of each spatial frequency [cycles per pixel] for each classifier",
-}
 _SPREAD = " ± is the standard deviation over seeds."
 
 
@@ -157,9 +145,8 @@ def _of_earlier_lenses(path: Path, lenses: Mapping[str, Path]) -> str:
 
 
 def _table(name: str, frame: pandas.DataFrame, note: str = "") -> page_tables.Table:
-    caption = _CAPTIONS.get(name) or f"Ablation: {name.removeprefix('ablation_').replace('_', ' ')}"
     spread = _SPREAD if any(str(column).endswith(STD) for column in frame) else ""
-    return page_tables.build(name, caption, frame, spread + note)
+    return page_tables.build(name, title(name), frame, spread + note)
 
 
 def _charts(
