@@ -25,7 +25,7 @@ from tasklens.runtime.files import write_rows
 from tasklens.runtime.progress import Progress
 from tasklens.runtime.tensors import as_tensor, explain_errors
 from tasklens.settings.capture_settings import SensorSettings
-from tasklens.show.image_tensors import write_captures
+from tasklens.show.image_files import write_captures
 
 FIELDS = "fields.csv"  # of the captures of a folder
 _DRAWS = 8  # draws of nine fields
