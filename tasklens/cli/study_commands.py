@@ -1,11 +1,8 @@
 """`tasklens study ...`: study files and their results."""
 
 import json
-from bisect import bisect_left
 from dataclasses import asdict, dataclass
-from functools import cache
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Any, Literal
 
 import typer
@@ -107,34 +104,12 @@ def new(
     own_network.check()
     minutes = answers.of("minutes", "Time to spend [minutes]", 30.0)
     new_study.check(request)
-
-    @cache
-    def seconds_of(cut: new_study.Cut) -> float:
-        return _seconds(request, cut, path) / cores
-
-    largest = bisect_left(new_study.CUTS, -60 * minutes, key=lambda cut: -seconds_of(cut))  # they become smaller
-    cut = new_study.CUTS[min(largest, len(new_study.CUTS) - 1)]
-    seconds = seconds_of(cut)
-    if seconds > 60 * minutes:
-        raise InputError(
-            f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(seconds)} on {cores} cores; "
-            "allow more time, or choose fewer elements, networks or seeds"
-        )
+    cut, seconds = new_study.fit(request, minutes, cores)
     forecast = f"about {duration(seconds)} on {cores} cores" if seconds else "of unknown duration"
     write_text(path, new_study.text(request, cut, forecast, cores, path))
     print(f"{path}: {cut.words}, {forecast}")
     snakefile = "" if Path("Snakefile").is_file() else f" -s {SNAKEFILE}"
     print(f"Next:  tasklens study plan {path}\n       snakemake -j{cores} tables{snakefile} --configfile {path}")
-
-
-def _seconds(request: new_study.StudyRequest, cut: new_study.Cut, path: Path) -> float:
-    """Forecast the duration on one core [s], as Snakemake and `study plan` do; 0 if no study like it was measured."""
-    with TemporaryDirectory() as place:
-        trial = Path(place, path.name)
-        write_text(trial, new_study.text(request, cut, "", 1, path))
-        study = loading.load(trial)
-        remaining = planning.plan([trial], "tables").get(study.name, {})
-    return cut.fraction * planning.seconds(remaining, durations_of(study))[0]
 
 
 def _prompt(question: str, default: Any) -> Any:

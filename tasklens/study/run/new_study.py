@@ -1,24 +1,28 @@
 """Files of new studies: the default study with a user's options, reduced by cuts to a time budget."""
 
 import re
+from bisect import bisect_left
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import yaml
 
 from tasklens.recognition import class_folders
 from tasklens.runtime.errors import InputError
+from tasklens.runtime.files import write_text
 from tasklens.settings.design_methods import with_named_designs
 from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
-from tasklens.study.loading import parse
+from tasklens.study.loading import load, parse
+from tasklens.study.run import planning
 from tasklens.study.run.changes import in_one_line
 from tasklens.study.run.digest import NOT_INSTALLED, ROOT
-from tasklens.study.run.forecast import COMPARABLE, LARGE
+from tasklens.study.run.forecast import COMPARABLE, LARGE, duration, durations_of
 
 DEFAULT = ROOT / "config" / "config.yaml"
 _OF_LARGE_IMAGES = {
@@ -171,6 +175,34 @@ def _network(networks: Mapping[str, Any], request: StudyRequest, name: str) -> d
     if "img_size" in network.get("arguments", {}):
         network["arguments"] = network["arguments"] | {"img_size": request.size}
     return network
+
+
+def fit(request: StudyRequest, minutes: float, cores: int) -> tuple[Cut, float]:
+    """Return the largest cut of the default study that takes at most `minutes` on some cores, and its duration [s].
+
+    The duration is that of `tasklens study plan`; 0 if no study like it was measured.
+
+    Raises:
+        InputError: not even the smallest cut fits.
+    """
+
+    @cache
+    def seconds(cut: Cut) -> float:
+        with TemporaryDirectory() as place:
+            path = Path(place, "study.yaml")
+            write_text(path, text(request, cut, "a trial", cores, path))
+            study = load(path)
+            jobs = planning.plan([path], "tables").get(study.name, {})
+        return cut.fraction * planning.seconds(jobs, durations_of(study))[0] / cores
+
+    largest = bisect_left(CUTS, -60 * minutes, key=lambda cut: -seconds(cut))  # each is smaller than the one before
+    cut = CUTS[min(largest, len(CUTS) - 1)]
+    if seconds(cut) > 60 * minutes:
+        raise InputError(
+            f"--minutes {minutes:g}: the smallest study of this kind takes about {duration(seconds(cut))} on {cores} "
+            "cores; allow more time, or choose fewer elements, networks or seeds"
+        )
+    return cut, seconds(cut)
 
 
 def check(request: StudyRequest) -> None:
