@@ -62,9 +62,10 @@ def test_commands_of_the_tutorial_run(tmp_path, monkeypatch, few_rays):
 
 SMALL = "--size 32 --kernel-size 11 --network test_resnet"
 DESCENT = "--set rays=16 --set batch_size=2 --set descents.0.steps=1 --force"
+FLAT = "--elements COC --start flat --set descents.0.lenses=1 --set descents.1.steps=1 --set descents.2.steps=1"
 QUICK = {  # options that make a command quick, by the beginning of the command
     "tasklens rank catalogue --images photographs --network resnet18": f"{SMALL} --max-images 20 --scale",
-    "tasklens design --method task": f"{SMALL} {DESCENT} --elements COC --set start=flat",
+    "tasklens design --method task": f"{SMALL} {DESCENT} {FLAT}",
     "tasklens design --start my.zmx --method task": f"{SMALL} {DESCENT}",
     "tasklens design --start my.zmx --method contrast": "--set descents.0.steps=2 --limit max_track=70 --force",
     "tasklens design --start": "--set descents.0.steps=2 --force",

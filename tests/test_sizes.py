@@ -6,12 +6,12 @@ import pytest
 
 ROOT = Path(__file__).parents[1]
 BUDGETS = {  # by unit and files; the aim of the next version in parentheses
-    ("lines", "tasklens/**/*.py restoration/**/*.py"): 30_300,  # (25 000)
+    ("lines", "tasklens/**/*.py restoration/**/*.py"): 30_150,  # (25 000)
     ("lines", "workflow/**/*.smk workflow/**/*.py Snakefile"): 1_400,
-    ("lines", "tests/**/*.py"): 23_900,  # (19 500)
+    ("lines", "tests/**/*.py"): 22_700,  # (19 500)
     ("files", "tasklens/**/*.py restoration/**/*.py"): 255,  # (230)
     ("words", "README.md"): 830,  # (800)
-    ("words", "docs/*.md"): 14_500,
+    ("words", "docs/*.md"): 13_800,
     ("words", "docs/notes/*.md"): 5_350,  # (4 000)
     ("words", "CHANGELOG.md"): 900,  # (800)
 }

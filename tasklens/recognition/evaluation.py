@@ -178,8 +178,16 @@ def zero_shot(classifier: Classifier, untrained: Evaluation) -> list[dict]:
     """
     if not classifier.has_more_outputs:
         return []
-    values = (100 * untrained.among_all.double().mean(-1)).tolist()
-    return [{"field": field, "metric": "zero_shot_accuracy", "value": value} for field, value in enumerate(values)]
+    return _rows({"zero_shot_accuracy": 100 * untrained.among_all.double().mean(-1)})
+
+
+def _rows(columns: Mapping[str, Tensor]) -> list[dict]:
+    """Return rows (field, metric, value) of values (F,) by metric."""
+    return [
+        {"field": field, "metric": metric, "value": value}
+        for metric, values in columns.items()
+        for field, value in enumerate(values.tolist())
+    ]
 
 
 @torch.no_grad()
@@ -241,11 +249,6 @@ def measure(
         sorted_psnr = psnr_db.sort(-1).values
         columns["psnr_db"] = psnr_db.mean(-1)
         columns["worst_psnr_db"] = sorted_psnr[:, : math.ceil(_WORST * sorted_psnr.shape[-1])].mean(-1)
-    rows: list[dict] = [
-        {"field": field, "metric": metric, "value": value}
-        for metric, values in columns.items()
-        for field, value in enumerate(values.tolist())
-    ]
     answers = dataset.classes if classifier.outputs is None else classifier.outputs
     totals = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
-    return rows + [{"field": "", "metric": metric, "value": value} for metric, value in totals.items()]
+    return _rows(columns) + [{"field": "", "metric": metric, "value": value} for metric, value in totals.items()]
