@@ -31,11 +31,12 @@ def unplanned(monkeypatch):
     """Every design takes a minute in each table, in place of a dry run of Snakemake."""
 
     def seconds(planned, durations) -> tuple[float, list[str]]:
-        return 60 * planned, []
+        return 60 * len(planned["design"].missing), []
 
-    def plan(files, target) -> dict[str, int]:
+    def plan(files, target) -> dict:
         config = load(*files)
-        return {config.name: len(config.designs) * len(config.tables)}
+        labels = [f"{design} {table}" for design in config.designs for table in config.tables]
+        return {config.name: {"design": planning.Planned(missing=labels)}}
 
     monkeypatch.setattr(planning, "plan", plan)
     monkeypatch.setattr(planning, "seconds", seconds)
@@ -153,7 +154,7 @@ def test_more_photographs_than_were_ever_measured_have_no_forecast(place, monkey
     options = ("new", "many", "--yes", "--images", "photos", "--minutes", "30", "--force")
     assert study(*options) == 0 and "many.yaml: all four tables, about " in capsys.readouterr().out
     monkeypatch.setattr(forecast, "COMPARABLE", 10)
-    assert study(*options) == 0 and "many.yaml: all four tables, of unknown duration" in capsys.readouterr().out
+    assert study(*options) == 0 and "many.yaml: all four tables, of unknown duration: no study" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

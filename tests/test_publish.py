@@ -62,7 +62,7 @@ def test_a_published_table_has_every_digit_in_csv_and_a_title_and_a_note_in_mark
 
 
 def test_the_markdown_may_show_another_table(tmp_path):
-    csv, md = tmp_path / "t.csv", tmp_path / "t.md"
+    csv, md = tmp_path / "sweep.csv", tmp_path / "sweep.md"
     publish(csv, md, TABLE, "A note.", TABLE[["lens"]])
     assert list(pandas.read_csv(csv)) == list(TABLE) and "accuracy" not in md.read_text()
 

@@ -105,7 +105,11 @@ def new(
     minutes = answers.of("minutes", "Time to spend [minutes]", 30.0)
     new_study.check(request)
     cut, seconds = new_study.fit(request, minutes, cores)
-    forecast = f"about {duration(seconds)} on {cores} cores" if seconds else "of unknown duration"
+    forecast = (
+        f"about {duration(seconds)} on {cores} cores"
+        if seconds
+        else "of unknown duration: no study like it was measured"
+    )
     write_text(path, new_study.text(request, cut, forecast, cores, path))
     print(f"{path}: {cut.words}, {forecast}")
     snakefile = "" if Path("Snakefile").is_file() else f" -s {SNAKEFILE}"

@@ -16,8 +16,7 @@ from tasklens.design.variables import ORDERS, free_surfaces
 from tasklens.optics.analysis.paraxial import check_focal_length, paraxial
 from tasklens.optics.analysis.spots import has_light
 from tasklens.optics.io import lens_files, prescription
-from tasklens.optics.io.lens_files import LensFile
-from tasklens.optics.io.lens_specs import specified
+from tasklens.optics.io.lens_specs import LensFile, with_specification
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.io.spec_section import spec_of
 from tasklens.optics.lens import Lens
@@ -25,15 +24,15 @@ from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.lens_settings import lens_settings
-from tasklens.settings.messages import validated
+from tasklens.settings.messages import validate
 from tasklens.settings.specification import Constraints, Spec
 
 _F_NUMBER = 1e-2  # relative change of the F-number that is mentioned
 _WIDEST = 150  # degrees, as in `Spec`
 _TOUCHING = 1e-6  # mm; surfaces in contact do not cross
-_NO_LENGTHS = ("max_slope", "max_chief_ray_angle_deg")
-_LENGTHS = tuple(  # limits that are lengths
-    name for name in Constraints.model_fields if name.startswith(("min_", "max_")) and name not in _NO_LENGTHS
+_LENGTHS = (  # limits that are lengths
+    *("min_centre_thickness", "max_centre_thickness", "min_edge_thickness"),
+    *("min_air_gap", "min_back_focus", "max_track"),
 )
 _SPOT = {"descents": [{"steps": 500, "step_size": 0.3, "momentum": 0.95, "criterion": "spot"}]}
 
@@ -131,10 +130,10 @@ def read_start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) 
         raise InputError("start: designs need a nominal lens; remove `pose` and `melt`")
     section = {"spec": spec_of(view)}
     content = prescription.to_dict(with_system_data(Prescription(lens.detached()), view)) | section
-    return specified(prescription.from_dict(content, "start"), section, "start", **spec)
+    return with_specification(prescription.from_dict(content, "start"), section, "start", **spec)
 
 
-def prescription_of(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
+def designed_prescription(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
     """Return `source` with the designed lens, without data that the keywords `changed` replace."""
     if changed & {"field_of_view_deg", "object_distance_mm"}:
         source = replace(source, fields=None)
@@ -157,7 +156,7 @@ def _constraints(method: str, settings: Mapping[str, Any], constraints: Mapping[
         if key in settings:
             advice = "give it as `free` (--free)" if key == "free" else "omit it"
             raise InputError(f"{key}: no setting with the lens of `start`; {advice}")
-    given = validated(Constraints, constraints, "constraints")
+    given = validate(Constraints, constraints, "constraints")
     if unused := {"stop_distance", "flat_track"} & set(constraints):
         raise InputError(f"constraints.{min(unused)}: only for designs from flat plates; the lens has its own")
     return given
@@ -235,5 +234,5 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         raise InputError(
             "the lens has no field except the axis: give its full field of view in degrees, --field-of-view"
         )
-    spec = validated(Spec, values)
+    spec = validate(Spec, values)
     return spec, replace(view_of_spec(spec), efl=spec.efl_mm)

@@ -107,7 +107,10 @@ class AdamWOptimizer:
     def __init__(self, start: Lens, problem: Problem, settings: DescentSettings):
         self.settings, self.problem = settings, problem
         rates = settings.learning_rates
-        self.variables = (Variables.normalised if rates.normalised else Variables.plain)(start, problem.view)
+        if rates.normalised:
+            self.variables = Variables.normalised(start, problem.view)
+        else:
+            self.variables = Variables.plain(start, problem.view)
         self.values = {name: value.requires_grad_() for name, value in self.variables.values().items()}
         self.free = self.variables.free(problem.free)
         self.optimizer = torch.optim.AdamW(parameter_groups(self.values, rates), betas=settings.betas)

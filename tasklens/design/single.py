@@ -94,7 +94,7 @@ def designs(
         if isinstance(start, str | Path):
             result.notes["origin"]["start"] = str(Path(start))
         return replace(
-            result, prescription=from_lens.prescription_of(file.prescription, result.lens, result.view, set(spec))
+            result, prescription=from_lens.designed_prescription(file.prescription, result.lens, result.view, set(spec))
         )
     if request.free is not None:
         raise InputError("free: only with `start`, the file of a lens")
@@ -120,7 +120,7 @@ def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, An
     if images is None:
         return None, None
     if not isinstance(images, str | Path):
-        dataset = pairs.of_pairs(images, photographs.MOST)
+        dataset = pairs.of_pairs(images, photographs.MAX_IMAGES)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
     side, count = photographs.SIZE if size is None else size, photographs.training_count(Path(images), held_out)

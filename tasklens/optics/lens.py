@@ -154,7 +154,7 @@ class Lens:
         return indices + shift + spread * (indices - at_reference)
 
     def with_stop_radius(self, radius: float) -> "Lens":
-        """Return the lens with another radius of its stop [mm]."""
+        """Return the lens with another radius of its stop [mm], a constant without gradient."""
         semi_diameter = self.semi_diameter.clone()
         semi_diameter[self.stop] = radius
         return replace(self, semi_diameter=semi_diameter)

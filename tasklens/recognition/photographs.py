@@ -9,7 +9,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.files import FileError
 
 SIZE = 224  # side to which photographs of a folder are resized, unless another is given [pixels]
-MOST = 2000  # largest number of images of a folder or a data set for a design
+MAX_IMAGES = 2000  # largest number of images of a folder or a data set for a design
 _UNUSED, _LEAST = 500, 20  # largest and smallest number of photographs for a verdict
 
 
@@ -17,7 +17,7 @@ def of_folder(split: Path, size: int, start: int, limit: int) -> ImageDataset:
     """Read at most `limit` photographs <split>/<class>/*, from index `start` of their random order.
 
     Raises:
-        FileError: as in `folders.find` and `folders.read`.
+        FileError: as in `folders.find` and `folders.read_all`.
     """
     listing = folders.find(split, start + limit, 0)
     listing = listing.take(torch.arange(len(listing))[start:])
@@ -32,8 +32,8 @@ def test_images(folder: Path, size: int, limit: int) -> ImageDataset:
 def training_count(folder: Path, held_out: bool) -> int:
     """Return the number of photographs for a design: four fifths of a folder without splits if some are held out."""
     if not held_out or class_folders.is_split(folder):
-        return MOST
-    return max(1, 4 * class_folders.count(folder, MOST * 5 // 4) // 5)
+        return MAX_IMAGES
+    return max(1, 4 * class_folders.count(folder, MAX_IMAGES * 5 // 4) // 5)
 
 
 def unused_images(folder: Path, size: int | None) -> ImageDataset:

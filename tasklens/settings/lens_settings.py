@@ -20,7 +20,7 @@ from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.layers import check_plain, merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import LensDesign, LensEntry
-from tasklens.settings.messages import validated
+from tasklens.settings.messages import validate
 from tasklens.settings.network_settings import ClassifierSettings
 from tasklens.settings.quantities import Name
 from tasklens.settings.specification import Constraints, Spec
@@ -164,7 +164,7 @@ def lens_settings(
 
 def _validate(content: Mapping[str, Any]) -> LensSettings:
     try:
-        settings = validated(LensSettings, content)
+        settings = validate(LensSettings, content)
         check_plain({key: content[key] for key in ("spec", "constraints", "designs")}, "")
     except ValueError as error:
         raise InputError(str(error)) from None

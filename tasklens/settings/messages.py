@@ -46,17 +46,16 @@ def problems(error: ValidationError, settings: Any) -> list[str]:
 
 
 def in_words(where: str, error: ValidationError, settings: Any) -> str:
-    """Return all mistakes in one line, each key with the prefix `where`."""
-    return "; ".join(f"{where}.{line}" for line in problems(error, settings))
+    """Return all mistakes in one line, each key with the prefix `where`, if any."""
+    return "; ".join(f"{where}.{line}" if where else line for line in problems(error, settings))
 
 
-def validated(settings: type[_Model], values: Any, where: str = "") -> _Model:
+def validate(settings: type[_Model], values: Any, where: str = "") -> _Model:
     """Return settings from values; raises InputError with all mistakes in one line, keys with the prefix `where`."""
     try:
         return settings.model_validate(values)
     except ValidationError as error:
-        lines = "; ".join(problems(error, settings))
-        raise InputError(in_words(where, error, settings) if where else lines) from None
+        raise InputError(in_words(where, error, settings)) from None
 
 
 def missing_keys(error: ValidationError) -> list[str]:

@@ -10,6 +10,51 @@ from tasklens.settings.quantities import Count
 Tolerance = Annotated[float, Field(ge=0, le=1000)]
 Percent = Annotated[float, Field(ge=0, le=50)]
 
+# Moulding: the columns "injection molding" of apollooptical.com/manufacturing-tolerances for radius, thickness (used
+# for air spaces too), concentricity (decentre of the surfaces of an element) and irregularity. Makers of phone lenses
+# publish no tolerances, and their moulds are diamond-turned, so `phone_moulding` has that page's column "single point
+# diamond turning, precision". The decentre of an element in its barrel is half of that page's tolerance of the
+# diameter. Tilts are our choice: the tolerance of the thickness across 5 mm of flange. Index and dispersion:
+# OpticStudio's default tolerances, 0.001 and 1 %; half of them for precise moulding, our choice.
+GRADES: dict[str, dict[str, float]] = {
+    "commercial_moulding": {
+        "radius_percent": 1.0,
+        "irregularity_fringes": 6.0,
+        "thickness_um": 25.0,
+        "air_space_um": 25.0,
+        "index": 0.001,
+        "dispersion_percent": 1.0,
+        "surface_decentre_um": 25.0,
+        "surface_tilt_mrad": 5.0,
+        "element_decentre_um": 25.0,
+        "element_tilt_mrad": 5.0,
+    },
+    "precision_moulding": {
+        "radius_percent": 0.5,
+        "irregularity_fringes": 3.0,
+        "thickness_um": 15.0,
+        "air_space_um": 15.0,
+        "index": 0.0005,
+        "dispersion_percent": 0.5,
+        "surface_decentre_um": 15.0,
+        "surface_tilt_mrad": 3.0,
+        "element_decentre_um": 12.5,
+        "element_tilt_mrad": 3.0,
+    },
+    "phone_moulding": {
+        "radius_percent": 0.1,
+        "irregularity_fringes": 2.0,
+        "thickness_um": 5.0,
+        "air_space_um": 5.0,
+        "index": 0.0005,
+        "dispersion_percent": 0.5,
+        "surface_decentre_um": 2.0,
+        "surface_tilt_mrad": 1.0,
+        "element_decentre_um": 2.5,
+        "element_tilt_mrad": 1.0,
+    },
+}
+
 
 class Grade(Frozen):
     """Tolerance grade: the largest errors, of either sign; a study may also name one of `GRADES`.
@@ -50,22 +95,6 @@ class Grade(Frozen):
         if not any(self.model_dump(exclude={"name"}).values()):
             raise ValueError("expected a tolerance above zero")
         return self
-
-
-# Moulding: the columns "injection molding" of apollooptical.com/manufacturing-tolerances for radius, thickness (used
-# for air spaces too), concentricity (decentre of the surfaces of an element) and irregularity. Makers of phone lenses
-# publish no tolerances, and their moulds are diamond-turned, so `phone_moulding` has that page's column "single point
-# diamond turning, precision". The decentre of an element in its barrel is half of that page's tolerance of the
-# diameter. Tilts are our choice: the tolerance of the thickness across 5 mm of flange. Index and dispersion:
-# OpticStudio's default tolerances, 0.001 and 1 %; half of them for precise moulding, our choice.
-GRADES: dict[str, dict[str, float]] = {  # in the order of the fields of `Grade`
-    name: dict(zip([*Grade.model_fields][1:], tolerances, strict=True))
-    for name, tolerances in {
-        "commercial_moulding": (1.0, 6.0, 25.0, 25.0, 0.001, 1.0, 25.0, 5.0, 25.0, 5.0),
-        "precision_moulding": (0.5, 3.0, 15.0, 15.0, 0.0005, 0.5, 15.0, 3.0, 12.5, 3.0),
-        "phone_moulding": (0.1, 2.0, 5.0, 5.0, 0.0005, 0.5, 2.0, 1.0, 2.5, 1.0),
-    }.items()
-}
 
 
 class ToleranceSettings(Frozen):

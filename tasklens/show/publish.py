@@ -26,7 +26,8 @@ TITLES = {  # of tables, by the stem of their files
 
 def title(name: str) -> str:
     """Return the title of a table, by the stem of its file."""
-    return TITLES.get(name) or f"Ablation: {name.removeprefix('ablation_').replace('_', ' ')}"
+    ablation = name.removeprefix("ablation_")
+    return TITLES[name] if ablation == name else f"Ablation: {ablation.replace('_', ' ')}"
 
 
 def markdown(table: pandas.DataFrame) -> str:

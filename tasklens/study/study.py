@@ -19,7 +19,7 @@ from tasklens.settings.field_settings import FieldSettings, Points, points
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
-from tasklens.settings.messages import validated
+from tasklens.settings.messages import validate
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings
 from tasklens.settings.quantities import Name, Rays, Seed, StudyName
 from tasklens.settings.specification import Constraints, Spec
@@ -230,4 +230,4 @@ def pick(entries: Mapping[str, _Entry], name: str, kind: str) -> _Entry:
 
 def _change(spec: Spec, changes: Mapping[str, Any], where: str) -> Spec:
     """Return a specification with changed keys, which the user's file has at `where`; raises InputError."""
-    return validated(Spec, spec.model_dump(exclude_computed_fields=True) | dict(changes), where)
+    return validate(Spec, spec.model_dump(exclude_computed_fields=True) | dict(changes), where)

@@ -3,10 +3,10 @@
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 from tasklens.optics.io import prescription, zemax
-from tasklens.optics.io.lens_specs import COMPUTED, LensFile, specified
+from tasklens.optics.io.lens_specs import COMPUTED, LensFile, Requested, with_specification
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius
 from tasklens.runtime.files import FileError
@@ -18,7 +18,9 @@ _SPEC = (*Spec.model_fields, *Spec.model_computed_fields)
 _SIMILAR = 0.8  # of a misspelled key
 
 
-def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None, **requested: Any) -> LensFile:
+def read(
+    path: Path, catalogues: Sequence[Path] = (), configuration: int | None = None, **requested: Unpack[Requested]
+) -> LensFile:
     """Read a lens with its specification.
 
     A lens.yaml of ours contains the specification. For any other lens it is derived from the file.
@@ -27,13 +29,13 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
         path: a lens.yaml or a .zmx file.
         catalogues: glass catalogues (.agf, or our YAML) of a .zmx file.
         configuration: of a .zmx file with several; None: the one in which it was saved.
-        requested: what differs from the file, as in `lens_specs.specified`.
+        requested: what differs from the file, as in `lens_specs.with_specification`.
 
     Raises:
         InputError: an object distance that is not positive.
         FileError: the file is not a lens or has no field, the object is in the lens, or a catalogue does not exist.
     """
-    return specified(*read_prescription(path, catalogues, configuration), str(path), **requested)
+    return with_specification(*read_prescription(path, catalogues, configuration), str(path), **requested)
 
 
 def check_catalogues(catalogues: Sequence[Path]) -> None:

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
-from typing import Any
+from typing import Any, TypedDict
 
 import torch
 from torch import Tensor
@@ -21,12 +21,24 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, positive
-from tasklens.settings.messages import validated
+from tasklens.settings.messages import validate
 from tasklens.settings.specification import Spec
 
 COMPUTED = ("figures", "means", "margins", "worst_margin", "local_optimum")  # for the specification of the file
 _AFOCAL = 100.0  # mm; focal length of the pinhole camera whose image points are the fields of an afocal lens
-_BY = {"mtf": "the peak of the MTF", "spot": "the smallest mean RMS spot"}
+_FOCUS_WORDS = {"mtf": "the peak of the MTF", "spot": "the smallest mean RMS spot"}
+
+
+class Requested(TypedDict, total=False):
+    """What differs from the file of a lens, as in `with_specification`."""
+
+    object_distance_mm: float | None
+    wavelengths_um: Sequence[float | str] | None
+    focus: str | float | None
+    field_of_view_deg: float | None
+    f_number: float | None
+    pixel_pitch_um: float | None
+    kernel_size: int | None
 
 
 @dataclass(frozen=True)
@@ -57,14 +69,17 @@ class LensFile:
         return self.view if self.fields is None else replace(self.view, fields=self.fields)
 
 
-def specified(
+def with_specification(
     source: Prescription,
     content: Mapping[str, Any],
     name: str,
     object_distance_mm: float | None = None,
     wavelengths_um: Sequence[float | str] | None = None,
     focus: str | float | None = None,
-    **changes: Any,
+    field_of_view_deg: float | None = None,
+    f_number: float | None = None,
+    pixel_pitch_um: float | None = None,
+    kernel_size: int | None = None,
 ) -> LensFile:
     """Return a lens with its specification.
 
@@ -80,8 +95,7 @@ def specified(
         wavelengths_um: wavelengths that replace those of the lens; the middle one is the reference [um].
         focus: place of the image plane: "file", as it is; "mtf" or "spot", where these are best; or the shift [um] away
             from the lens. None: as it is, but at the peak of the MTF if the object is at another distance.
-        changes: values of `Spec` that replace those of the lens: `field_of_view_deg`, `f_number`, `pixel_pitch_um`,
-            `kernel_size`; None for that of the lens.
+        field_of_view_deg, f_number, pixel_pitch_um, kernel_size: values of `Spec` that replace those of the lens.
 
     Raises:
         InputError: an object distance that is not positive.
@@ -96,7 +110,14 @@ def specified(
         raise InputError("wavelengths_um: expected at least one, got none")
     try:
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
-        changes = _validate(changes)
+        changes = _validate(
+            {
+                "field_of_view_deg": field_of_view_deg,
+                "f_number": f_number,
+                "pixel_pitch_um": pixel_pitch_um,
+                "kernel_size": kernel_size,
+            }
+        )
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
         if changes or wavelengths or object_distance_mm is not None or focus is not None:
             content = without_figures(content)
@@ -121,7 +142,7 @@ def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
 def _validate(changes: Mapping[str, Any]) -> dict[str, Any]:
     """Return the values of `Spec` that are not None, converted to numbers; raises InputError."""
     changes = {key: value for key, value in changes.items() if value is not None}
-    spec = validated(Spec, changes)
+    spec = validate(Spec, changes)
     return {key: getattr(spec, key) for key in changes}
 
 
@@ -187,7 +208,7 @@ def derive_specification(
         changes: values of `Spec` that differ from it.
         wavelengths: wavelengths that replace those of the prescription; may be empty.
         vergence: 1 / distance of the object [1/mm].
-        focus: as in `specified`.
+        focus: as in `with_specification`.
 
     Raises:
         InputError: a value of `changes` is invalid, or the lens has no field, or an F-number without a focal length.
@@ -233,7 +254,7 @@ def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, 
 def _place_image_plane(
     lens: Lens, view: View, own_distance: float, focus: str | float | None
 ) -> tuple[Lens, list[str]]:
-    """Place the image plane of a lens as requested by `focus` of `specified`, and say so if it moves.
+    """Place the image plane of a lens as requested by `focus` of `with_specification`, and say so if it moves.
 
     Args:
         own_distance: distance of the object in the file [mm].
@@ -248,7 +269,7 @@ def _place_image_plane(
             criterion = focus
         elif focus is not None:
             by_shift = float(focus)
-        if criterion not in ("file", *_BY) or not math.isfinite(by_shift):
+        if criterion not in ("file", *_FOCUS_WORDS) or not math.isfinite(by_shift):
             raise ValueError
     except (TypeError, ValueError):
         raise InputError(f"focus {focus} (--focus): expected micrometres, such as -10, or file, mtf or spot") from None
@@ -257,7 +278,9 @@ def _place_image_plane(
     if focus is not None:
         check_focal_length(lens, view.reference_um, f"--focus {focus} needs")
     focused = refocus(lens, view, "spot" if criterion == "spot" else "mtf")
-    remark = f"image plane {1e3 * float(focused.thickness[-1] - lens.thickness[-1]):+.1f} um, to {_BY[criterion]}"
+    remark = (
+        f"image plane {1e3 * float(focused.thickness[-1] - lens.thickness[-1]):+.1f} um, to {_FOCUS_WORDS[criterion]}"
+    )
     if moved:
         own = "infinity" if math.isinf(own_distance) else f"{own_distance:g} mm"
         requested = f"{1 / view.object_vergence:g} mm" if view.object_vergence else "infinity"

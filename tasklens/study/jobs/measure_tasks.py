@@ -42,22 +42,24 @@ def fine_tune(
     training_images, test_images = (objects.read(*split, device=device) for split in (training_scenes, test_scenes))
     size, classes = training_images.images.shape[-1], training_images.classes
     network = task_networks.load(settings.name, settings.network, classes, size, reference).to(device)
-    captured, graded = (CapturePipeline.of(settings.capture, psf, fields, device) for fields in ("training", "grading"))
+    training_pipeline, grading_pipeline = (
+        CapturePipeline.of(settings.capture, psf, fields, device) for fields in ("training", "grading")
+    )
     training_task, test_task = (
         object_tasks.make(settings.name, settings.network, split) for split in (training_images, test_images)
     )
     test = test_images.as_images()
-    rows = [row | {"tuned": False} for row in scores(network, test_task, test, graded)]
+    rows = [row | {"tuned": False} for row in scores(network, test_task, test, grading_pipeline)]
     training.fit(
         network,
         training_images.as_images(),
         settings.network.fine_tuning,
         settings.seed,
         f"fine-tuning of {settings.name}",
-        captured.one_field,
+        training_pipeline.one_field,
         checkpoint,
         task=training_task,
     )
-    rows += [row | {"tuned": True} for row in scores(network, test_task, test, graded)]
+    rows += [row | {"tuned": True} for row in scores(network, test_task, test, grading_pipeline)]
     write_tensors(weights, network.state_dict(), {"task": settings.name})
     write_rows(metrics, [settings.columns | row for row in rows])

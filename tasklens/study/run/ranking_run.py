@@ -121,14 +121,15 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
     Raises:
         InputError: the network cannot be built or read, or recognises nothing.
     """
-    from tasklens.recognition import classifiers, photographs, sharp
+    from tasklens.recognition import classifiers, sharp
+    from tasklens.recognition.photographs import test_images
 
     assert images.folder is not None
     classifiers.check("network", settings, images.size, len(class_folders.training_classes(images.folder)))
-    shown = photographs.test_images(images.folder, images.size, _SHOWN)
-    network = classifiers.build(settings, shown.classes)
+    examples = test_images(images.folder, images.size, _SHOWN)
+    network = classifiers.build(settings, examples.classes)
     try:
-        return sharp.check_accuracy(classifiers.frozen(network, shown.images), shown)
+        return sharp.check_accuracy(classifiers.frozen(network, examples.images), examples)
     except sharp.TooFewImages as error:
         return str(error)
 

@@ -21,7 +21,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
 from tasklens.settings.lens_entries import ImportedLens
-from tasklens.settings.messages import validated
+from tasklens.settings.messages import validate
 from tasklens.settings.names import Focus
 from tasklens.settings.specification import Spec
 
@@ -98,7 +98,7 @@ def screen(
         InputError: a value of the sensor is invalid, or a catalogue does not exist.
     """
     lens_files.check_catalogues(catalogues)
-    sensor = validated(Spec, dict(spec))
+    sensor = validate(Spec, dict(spec))
     screened = Screened()
     progress = Progress("reading lenses", len(paths))
     for step, path in enumerate(paths, 1):
@@ -153,9 +153,9 @@ def _screen(
     }
     files = {"file": str(path), "catalogues": [*map(str, catalogues)]}
     entry = {"elements": ELEMENTS, **files, "spec": lens_spec, "focus": focus}
-    spec = validated(Spec, sensor.model_dump(exclude_computed_fields=True) | lens_spec)
+    spec = validate(Spec, sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
-    lens, details = imported.fit(ImportedLens.model_validate(entry), view, spec.f_number)
+    lens, details = imported.fit(validate(ImportedLens, entry), view, spec.f_number)
     if not (light := has_light(lens, view)).all():
         raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
     if (by := details["focus"]) != "file":

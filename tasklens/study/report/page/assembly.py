@@ -173,8 +173,8 @@ def _charts(
     ablations = [frame for name, frame in frames.items() if name.startswith("ablation_")]
     if ablations:
         variants = pandas.concat(ablations).dropna(subset=["difference"])
-        title = "Ablations: variant less base"
-        drawn.append(page_charts.differences("ablations", title, variants, variants["lens"].tolist()))
+        heading = "Ablations: variant less base"
+        drawn.append(page_charts.differences("ablations", heading, variants, variants["lens"].tolist()))
     return [chart for chart in drawn if chart is not None]
 
 
@@ -185,18 +185,18 @@ def _histories(settings: ReportJob, files: PageFiles) -> list[page_charts.Chart]
     for elements in dict.fromkeys(settings.elements.values()):
         runs = {lens: _last_part(run) for lens, run in histories.items() if settings.elements[lens] == elements}
         description = f"RMS spot radius during the last stage of the design of each {elements}."
-        title = f"Design of each {elements}: RMS spot"
+        heading = f"Design of each {elements}: RMS spot"
         drawn.append(
-            page_charts.histories(f"rms-{elements}", title, "rms_um", "RMS spot [um]", runs, description, True)
+            page_charts.histories(f"rms-{elements}", heading, "rms_um", "RMS spot [um]", runs, description, True)
         )
         runs = {lens: run for lens, run in runs.items() if lens in settings.by_classifier}
         description = (
             f"Loss of the classifier on fixed images during the design of each {elements}. The lens with the smallest "
             "loss is kept."
         )
-        title = f"Design of each {elements}: loss of the classifier"
+        heading = f"Design of each {elements}: loss of the classifier"
         drawn.append(
-            page_charts.histories(f"loss-{elements}", title, "validation_loss", "loss", runs, description, False)
+            page_charts.histories(f"loss-{elements}", heading, "validation_loss", "loss", runs, description, False)
         )
     runs = dict(zip(settings.restored, map(_read, files.restorations), strict=True))
     description = "PSNR on minival images during the training of the restoration networks."
