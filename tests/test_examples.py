@@ -70,6 +70,7 @@ LAST = {  # file that the last cell writes
 BRIEF = {  # what is shortened, by notebook: a network that recognises something is enough
     "which_lens": [("render(1500, ", "render(600, "), ("render(200, ", "render(80, ")],
     "own_network": [
+        ("textures(2000,", "textures(800,"),
         ("lambda sharp: sharp, 400,", "lambda sharp: sharp, 120,"),
         ("unseen, answers = textures(300,", "unseen, answers = textures(100,"),
         ('"evaluations": 1500, "starts": 4', '"evaluations": 150, "starts": 2'),

@@ -154,7 +154,9 @@ def test_more_photographs_than_were_ever_measured_have_no_forecast(place, monkey
     options = ("new", "many", "--yes", "--images", "photos", "--minutes", "30", "--force")
     assert study(*options) == 0 and "many.yaml: all four tables, about " in capsys.readouterr().out
     monkeypatch.setattr(forecast, "COMPARABLE", 10)
-    assert study(*options) == 0 and "many.yaml: all four tables, of unknown duration: no study" in capsys.readouterr().out
+    assert (
+        study(*options) == 0 and "many.yaml: all four tables, of unknown duration: no study" in capsys.readouterr().out
+    )
 
 
 @pytest.mark.parametrize(
