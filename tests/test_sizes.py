@@ -11,7 +11,7 @@ BUDGETS = {  # by unit and files; the aim of the next version in parentheses
     ("lines", "tests/**/*.py"): 22_700,  # (19 500)
     ("files", "tasklens/**/*.py restoration/**/*.py"): 255,  # (230)
     ("words", "README.md"): 830,  # (800)
-    ("words", "docs/*.md"): 13_800,
+    ("words", "docs/*.md"): 13_950,
     ("words", "docs/notes/*.md"): 5_350,  # (4 000)
     ("words", "CHANGELOG.md"): 900,  # (800)
 }
