@@ -106,8 +106,8 @@ def test_table_means_over_fields_and_seeds(tmp_path):
             key = {"lens": f"singlet-{design}", "seed": seed, "field": field}
             tail_energy = 0.1 if math.isfinite(radius) else math.nan
             rows.append(key | {"core_radius_um": radius, "tail_energy": tail_energy, "rms_chief_ray_um": 8})
-    publish_tails("tiny", rows, tmp_path / "tail.csv", tmp_path / "tail.md")
-    table = pandas.read_csv(tmp_path / "tail.csv").set_index("lens")
+    publish_tails("tiny", rows, tmp_path / "psf_tail.csv", tmp_path / "tail.md")
+    table = pandas.read_csv(tmp_path / "psf_tail.csv").set_index("lens")
     a, b = table.loc["singlet-imaging1"], table.loc["singlet-imaging2"]
     assert a["core_radius_um"] == 3 and a["core_radius_um_std"] == pytest.approx(2**0.5)
     assert a["rms_over_core"] == 3 and a["tail_energy"] == pytest.approx(0.1)
