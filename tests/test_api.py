@@ -205,6 +205,11 @@ def on_axis(view):
     return replace(view, fields=view.fields[:1])
 
 
+def tilted(lens):
+    """The lens with its first element tilted by 1 mrad."""
+    return lens.with_element_moved(0, 1, torch.zeros(2).double(), torch.tensor([1e-3, 0.0]).double())
+
+
 def single(lens):
     """The lens in single precision."""
     tensors = {name: value for name, value in vars(lens).items() if isinstance(value, torch.Tensor)}
@@ -256,6 +261,11 @@ IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
         (lambda lens, view: design_lens("spot", start=(lens, view), settings={"free": {}}), "give it as `free`"),
         (lambda lens, view: rank({"a": (lens, view)}, [(IMAGE, 0)], NETWORK, size=64), "size: only for a folder"),
         (lambda lens, view: design_lens("spot", start=(lens, view), diagonal_mm=4.0), "diagonal_mm: not with `start`"),
+        (
+            lambda lens, view: design_lens("spot", start=(lens, view), configuration=2),
+            "configuration: only for",
+        ),
+        (lambda lens, view: design_lens("spot", start=(tilted(lens), view)), "start: designs need a nominal lens"),
         (lambda lens, view: trace(lens, view, pupil=[[0, 0, 1]]), r"pupil: expected points \(N, 2\), got"),
         (lambda lens, view: Camera(lens, view, rays=0), "rays: expected a whole number from 1"),
         (lambda lens, view: Camera(single(lens), view), "lens: expected double precision"),
@@ -290,6 +300,8 @@ def test_a_notebook_shows_a_lens(doublet):
     html = lens._repr_html_()
     assert html.count("<tr>") == len(lens.media) + 1 and html.count("<path") == 2 + 3 and "OKP4" in html
     assert "nan" not in html and "inf" not in html
+    media = (*lens.media[:-2], replace(lens.media[-2], name="<b>mine"), lens.media[-1])
+    assert "<b>" not in replace(lens, media=media)._repr_html_()
     assert len(tasklens.draw(lens, view, "mine", rays=64).get_children()) > 1
     assert tasklens.__version__ == importlib.metadata.version("tasklens")
 

@@ -29,7 +29,7 @@ def read(
         path: a lens.yaml or a .zmx file.
         catalogues: glass catalogues (.agf, or our YAML) of a .zmx file.
         configuration: of a .zmx file with several; None: the one in which it was saved.
-        requested: what differs from the file, as in `lens_specs.with_specification`.
+        requested: values that replace those of the file, as in `lens_specs.with_specification`.
 
     Raises:
         InputError: an object distance that is not positive.

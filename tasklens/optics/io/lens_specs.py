@@ -30,7 +30,7 @@ _FOCUS_WORDS = {"mtf": "the peak of the MTF", "spot": "the smallest mean RMS spo
 
 
 class Requested(TypedDict, total=False):
-    """What differs from the file of a lens, as in `with_specification`."""
+    """Values that replace those of the file of a lens, as in `with_specification`."""
 
     object_distance_mm: float | None
     wavelengths_um: Sequence[float | str] | None
