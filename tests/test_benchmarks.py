@@ -1,6 +1,7 @@
 """Every benchmark runs, at a tiny size: its table is checked, not its times."""
 
 import importlib
+import json
 from pathlib import Path
 
 import pytest
@@ -47,14 +48,20 @@ def test_operations_are_those_of_the_published_networks():
 
 
 def test_durations_are_collected_by_study_and_rule(tmp_path):
-    """Mean and longest of the jobs of a rule, its largest memory; rows of other rules and studies stay."""
+    """Mean and longest of the jobs of a rule, its largest memory, the minutes of the study; other rows stay."""
     folder = tmp_path / "mine" / "benchmarks" / "psf"
     folder.mkdir(parents=True)
     for name, seconds, memory in (("a", 2.0, 300.0), ("b", 4.0, 500.0)):
         (folder / f"{name}.tsv").write_text(f"s\tmax_rss\n{seconds}\t{memory}\n")
     table = tmp_path / "durations.csv"
     table.write_text("study,rule,seconds,longest_s,memory_mb\nmine,design,60.0,90.0,1000.0\nother,psf,1.0,1.0,1.0\n")
-    importlib.import_module("durations").main([str(tmp_path / "mine"), "--table", str(table)])
+    times = tmp_path / "times.csv"
+    times.write_text("study,minutes,cores,per,commit\nother,3,2,seed,a\n")
+    jobs = {"a": {"started": 60.0, "seconds": 2.0}, "b": {"started": 61.0, "seconds": 239.0}}
+    (tmp_path / "mine/run.json").write_text(json.dumps({"cores": 2, "jobs": jobs}))
+    options = ["--table", str(table), "--times", str(times), "--commit", "b"]
+    importlib.import_module("durations").main([str(tmp_path / "mine"), *options])
+    assert times.read_text().splitlines()[1:] == ["mine,4,2,,b", "other,3,2,seed,a"]
     assert table.read_text().splitlines()[1:] == [
         "mine,design,60.0,90.0,1000.0",
         "mine,psf,3.0,4.0,500.0",

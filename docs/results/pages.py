@@ -13,6 +13,9 @@ their headings:
   brackets, wrong answers [%]; `difference` [points]; the difference `inside` the corner [points]; or its `p` value
 - `answer: ELEMENTS`: a row for each folder, with the accuracies and gains of decomposition.csv
 
+In a line, `<!-- time: STUDY --><!-- end -->` is the duration of a study in times.csv, which `benchmarks/durations.py`
+writes.
+
 With `--check` the program writes nothing, and ends with 1 if a page differs.
 """
 
@@ -27,7 +30,8 @@ import pandas
 from tasklens.show.publish import markdown
 
 FOLDER = Path(__file__).parent
-BLOCK = re.compile(r"(<!-- (\w+): (.*?) \| (.*?) -->\n).*?(<!-- end -->)", re.DOTALL)
+BLOCK = re.compile(r"(<!-- (\w+): ([^|\n]*) \| ([^\n]*) -->\n).*?(<!-- end -->)", re.DOTALL)
+TIME = re.compile(r"(<!-- time: (\w+) -->).*?(<!-- end -->)")
 _FOLDER = re.compile(r"(\S+?)(?: \((.*)\))?$")
 _PARTS = ["heading", "elements", "classifier"]  # of a column of a table
 Folders = Mapping[str, str]  # from folder to heading
@@ -144,6 +148,15 @@ def _verdict(verdict: str) -> str:
     return "" if verdict == "holds" else ", suggested" if verdict.startswith("suggests") else f", {verdict}"
 
 
+def duration(study: str) -> str:
+    """Return how long a study, or each of its seeds, sets or points, took, and on how many cores."""
+    row = pandas.read_csv(FOLDER / "times.csv", keep_default_na=False).set_index("study").loc[study]
+    long = row["minutes"] >= 90
+    time = f"{row['minutes'] / 60:.1f} hours" if long else f"{row['minutes']:.0f} minutes"
+    per = f" a {row['per']}" if row["per"] else ""
+    return f"{time}{per}, {'one core' if row['cores'] == 1 else 'two cores'}"
+
+
 KINDS = {"accuracies": accuracies, "gains": gains, "ablation": ablation, "steps": steps, "answer": answer}
 
 
@@ -156,6 +169,7 @@ def filled(page: str) -> str:
         table = KINDS[kind](argument, {folder: heading or folder for folder, heading in named})
         return f"{begin}\n{markdown(table.reset_index())}\n\n{end}"
 
+    page = TIME.sub(lambda match: f"{match[1]}{duration(match[2])}{match[3]}", page)
     return BLOCK.sub(fill, page)
 
 
@@ -164,7 +178,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
-    pages = [FOLDER.parents[1] / "README.md", FOLDER.parent / "results.md", *sorted(FOLDER.glob("*/README.md"))]
+    named = [FOLDER.parents[1] / "README.md", FOLDER.parent / "results.md", FOLDER.parent / "study.md"]
+    pages = [*named, *sorted(FOLDER.glob("*/README.md"))]
     different = [page for page in pages if page.read_text() != filled(page.read_text())]
     for page in different:
         if options.check:
