@@ -14,7 +14,6 @@ from restoration import nafnet_training
 from tasklens.recognition import dataset
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.study import loading, report_jobs
-from tasklens.study.job_settings import RestorationJob
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -29,20 +28,21 @@ def main(arguments: list[str] | None = None) -> None:
     )
     rows = []
     for lens in options.lenses or report_jobs.CapturesJob.of(study).restored_lenses:
-        job = RestorationJob.of(study, lens, study.seeds[0])
-        path = options.results / "lenses" / lens / f"seed{job.seed}" / "psf.safetensors"
+        seed = study.seeds[0]
+        path = options.results / "lenses" / lens / f"seed{seed}" / "psf.safetensors"
         pipelines = [
-            CapturePipeline.of(job.capture, path, fields, images.device) for fields in ("training", "selection")
+            CapturePipeline.of(study.capture_of(lens), path, fields, images.device)
+            for fields in ("training", "selection")
         ]
         quality, seconds = [], []
-        for steps in (job.restoration.steps, 2 * job.restoration.steps):
-            settings = job.restoration.model_copy(update={"steps": 2 if options.tiny else steps})
+        for steps in (study.restoration.steps, 2 * study.restoration.steps):
+            settings = study.restoration.model_copy(update={"steps": 2 if options.tiny else steps})
             begin = time.process_time()
-            _, history = nafnet_training.train(settings, images, minival, *pipelines, job.seed)
+            _, history = nafnet_training.train(settings, images, minival, *pipelines, seed)
             quality.append(history[-1]["psnr_db"])
             seconds.append(time.process_time() - begin)
         numbers = (f"{quality[0]:.2f}", f"{quality[1]:.2f}", f"{quality[1] - quality[0]:+.2f}")
-        rows.append((lens, job.restoration.steps, *numbers, *(f"{value:.0f}" for value in seconds)))
+        rows.append((lens, study.restoration.steps, *numbers, *(f"{value:.0f}" for value in seconds)))
     columns = (
         "lens",
         "steps",

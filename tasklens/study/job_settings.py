@@ -1,7 +1,7 @@
 """Settings of each kind of job: the part of a study that it reads; no torch here.
 
-`of` takes the study and the wildcards of the rule. Snakemake compares the result, so that a changed value reruns the
-jobs that read it, and no others.
+Snakemake compares them, so that a changed value reruns the jobs that read it, and no others. A rule names the values,
+or `of` takes them from the study and the wildcards of the rule.
 """
 
 import os
@@ -50,11 +50,6 @@ class ImagesJob(Frozen):
     images: ImageSettings
     source: str | None
 
-    @classmethod
-    def of(cls, study: Study) -> "ImagesJob":
-        """Return the settings of the job."""
-        return cls(images=study.images, source=source(study.images.folder))
-
 
 class PsfJob(Frozen):
     """PSFs of a lens.
@@ -92,11 +87,6 @@ class RestorationJob(Frozen):
     restoration: RestorationSettings
     capture: CaptureSettings
     seed: int
-
-    @classmethod
-    def of(cls, study: Study, lens: str, seed: int) -> "RestorationJob":
-        """Return the settings of the job."""
-        return cls(restoration=study.restoration, capture=study.capture_of(lens), seed=seed)
 
 
 class CapturePipelineSettings(Frozen):

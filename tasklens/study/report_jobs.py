@@ -25,11 +25,6 @@ class DrawingJob(Frozen):
 
     lens: str
 
-    @classmethod
-    def of(cls, study: Study, lens: str) -> "DrawingJob":
-        """Return the settings of the job."""
-        return cls(lens=lens)
-
 
 class CertificateJob(Frozen):
     """The page and the pictures of a lens."""
@@ -37,11 +32,6 @@ class CertificateJob(Frozen):
     lens: str
     seed: int
     grade: Grade
-
-    @classmethod
-    def of(cls, study: Study, lens: str, seed: int) -> "CertificateJob":
-        """Return the settings of the job."""
-        return cls(lens=lens, seed=seed, grade=study.tolerances.grade)
 
 
 class FramesJob(Frozen):

@@ -6,7 +6,7 @@ from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.names import SHARP
 from tasklens.settings.task_settings import SceneSettings, TaskSettings
-from tasklens.study.job_settings import lens_columns, source
+from tasklens.study.job_settings import lens_columns
 from tasklens.study.study import Study, StudyError
 from tasklens.study.table_contents import LensKey, chosen_lenses
 
@@ -17,22 +17,12 @@ class ScenesJob(Frozen):
     scenes: SceneSettings
     source: str | None
 
-    @classmethod
-    def of(cls, study: Study) -> "ScenesJob":
-        """Return the settings of the job."""
-        return cls(scenes=study.tasks.scenes, source=source(study.tasks.scenes.folder))
-
 
 class TaskTrainingJob(Frozen):
     """Training of the network of a task on the sharp images with objects."""
 
     name: str
     network: TaskSettings
-
-    @classmethod
-    def of(cls, study: Study, task: str) -> "TaskTrainingJob":
-        """Return the settings of the job."""
-        return cls(name=task, network=study.task_network(task))
 
 
 class TaskFineTuningJob(Frozen):

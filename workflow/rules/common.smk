@@ -3,6 +3,7 @@
 from functools import cache
 from inspect import signature
 
+from pydantic_core import to_json
 from snakemake.exceptions import WorkflowError
 
 from tasklens.study.run.digest import code_digest
@@ -89,6 +90,11 @@ def contents(of, wildcards):
 def settings(of):
     """Return a function from wildcards to the settings of a job as JSON; for `of`, see `contents`."""
     return lambda w: contents(of, w).model_dump_json()
+
+
+def named(**values):
+    """Return such a function for settings that a rule names, each by a function of the study and wildcards."""
+    return lambda w: to_json({name: contents(value, w) for name, value in values.items()}).decode()
 
 
 def files_of(pattern, of, keys="lens_keys"):

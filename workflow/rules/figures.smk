@@ -23,7 +23,11 @@ rule certificate:
         **needs("certificate"),
     params:
         **call("tasklens.study.jobs.certify.run"),
-        settings=settings(report_jobs.CertificateJob.of),
+        settings=named(
+            lens=lambda study, lens: lens,
+            seed=lambda study, seed: seed,
+            grade=lambda study: study.tolerances.grade,
+        ),
     script:
         "../scripts/job.py"
 
@@ -49,7 +53,7 @@ rule drawing:
         **needs("drawing"),
     params:
         **call("tasklens.study.jobs.drawing.run"),
-        settings=settings(report_jobs.DrawingJob.of),
+        settings=named(lens=lambda study, lens: lens),
     script:
         "../scripts/job.py"
 

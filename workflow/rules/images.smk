@@ -20,7 +20,10 @@ rule images:
         **needs("images"),
     params:
         **call("tasklens.study.jobs.images.run"),
-        settings=settings(job_settings.ImagesJob.of),
+        settings=named(
+            images=lambda study: study.images,
+            source=lambda study: job_settings.source(study.images.folder),
+        ),
     script:
         "../scripts/job.py"
 

@@ -19,6 +19,10 @@ rule restore:
         **needs("restore", gpu=1),
     params:
         **call("tasklens.study.jobs.restore.run"),
-        settings=settings(job_settings.RestorationJob.of),
+        settings=named(
+            restoration=lambda study: study.restoration,
+            capture=lambda study, lens: study.capture_of(lens),
+            seed=lambda study, seed: seed,
+        ),
     script:
         "../scripts/job.py"

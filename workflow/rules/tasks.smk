@@ -16,7 +16,10 @@ rule scenes:
         **needs("scenes"),
     params:
         **call("tasklens.study.jobs.render_scenes.run"),
-        settings=settings(task_jobs.ScenesJob.of),
+        settings=named(
+            scenes=lambda study: study.tasks.scenes,
+            source=lambda study: job_settings.source(study.tasks.scenes.folder),
+        ),
     script:
         "../scripts/job.py"
 
@@ -39,7 +42,7 @@ rule task_reference:
         **needs("task_reference", gpu=1),
     params:
         **call("tasklens.study.jobs.measure_tasks.train"),
-        settings=settings(task_jobs.TaskTrainingJob.of),
+        settings=named(name=lambda study, task: task, network=lambda study, task: study.task_network(task)),
     script:
         "../scripts/job.py"
 
