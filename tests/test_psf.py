@@ -7,7 +7,7 @@ import torch
 from examples import WAVELENGTHS, difference, f64, random_lens, rays_on_image
 
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import chief_points, trace_fields
+from tasklens.optics.analysis.spots import chief_points, trace_fields, trace_with_chief
 from tasklens.optics.psf import psf
 from tasklens.optics.view import View
 
@@ -31,6 +31,29 @@ def psf_of_a_lens(fields, pupil, pitch: float, kernel: int):
     lens = replace(random_lens(0), semi_diameter=f64([0.3, *[torch.inf] * 4]))
     view = View(f64(fields), 1.0, WAVELENGTHS, pitch, kernel)
     return psf(trace_fields(lens, view, pupil), chief_points(lens, view), pitch, kernel)
+
+
+@pytest.mark.parametrize("stop, aperture", [(0, torch.inf), (2, torch.inf), (0, 0.5)])
+def test_the_chief_ray_may_travel_with_the_others(stop, aperture):
+    """Stop in front or inside, open or clear apertures: PSFs and gradients are those of a chief ray traced alone."""
+    lens = random_lens(0)
+    semi_diameter = torch.full_like(lens.semi_diameter, aperture)
+    semi_diameter[stop] = 0.3
+    lens = replace(lens, semi_diameter=semi_diameter, stop=stop)
+    view, pupil = View(f64([[0.0, 0.0], [0.1, 0.3]]), 1.0, WAVELENGTHS, 20.0, 21), sobol_disc(64, seed=1)
+
+    def result(alone: bool):
+        curvature = lens.curvature.clone().requires_grad_()
+        bent = replace(lens, curvature=curvature)
+        rays, centre = trace_with_chief(bent, view, pupil)
+        if alone:
+            rays, centre = trace_fields(bent, view, pupil), chief_points(bent, view)
+        grid = psf(rays, centre, 20.0, 21)
+        return grid, *torch.autograd.grad(grid.square().sum(), curvature)
+
+    for actual, expected in zip(result(alone=False), result(alone=True), strict=True):
+        torch.testing.assert_close(actual, expected, rtol=1e-11, atol=1e-13)
+    assert float(result(alone=False)[1].abs().max()) > 1e-3
 
 
 def test_one_ray_is_shared_by_four_pixels():

@@ -57,8 +57,8 @@ class _Convolution(torch.autograd.Function):
             for source, target in blocks:
                 product = images[colours, source] * kernels[field, colours, None]
                 product[..., 0, 0] += mean[colours, source]
-                planes = torch.fft.ifft2(product, norm="forward")[window].transpose(0, 1)
-                captures[target, 0, colours], captures[target, 1, colours] = planes.real, planes.imag
+                planes = torch.fft.ifft2(product, norm="forward")[window]
+                captures[target, :, colours] = torch.view_as_real(planes).permute(1, 4, 0, 2, 3)
         ctx.save_for_backward(images, psf)
         ctx.arguments = runs, shape, kernels
         return captures
@@ -73,7 +73,7 @@ class _Convolution(torch.autograd.Function):
             at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
             at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
             conjugate = images.conj().resolve_conj()
-            padded = torch.zeros_like(images[_colours(images)[0]])
+            padded = torch.zeros_like(images[_colours(images, runs)[0]])
             window = padded[_window(psf, shape)]
             for field, colours, blocks in _schedule(runs, images):
                 total = torch.zeros_like(padded[:, 0])
@@ -98,9 +98,11 @@ def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[Any, ...]:
     return ..., *(slice(k - 1, k - 1 + side) for k, side in zip(psf.shape[-2:], shape, strict=True))
 
 
-def _colours(planes: Tensor) -> list[slice]:
-    """Return the colours to transform at once: all three on a GPU, so that it has few calls, and one on a CPU."""
-    return [slice(0, 3)] if planes.device.type == "cuda" else [slice(colour, colour + 1) for colour in range(3)]
+def _colours(planes: Tensor, runs: list[Run]) -> list[slice]:
+    """Return the colours to transform at once: all three if they fit with every run, for few calls; else one."""
+    longest = max(run.stop - run.start for run in runs)
+    fit = planes.device.type == "cuda" or 3 * longest <= _at_once(planes)
+    return [slice(0, 3)] if fit else [slice(colour, colour + 1) for colour in range(3)]
 
 
 def _schedule(runs: list[Run], images: Tensor) -> Iterator[tuple[int, slice, list[tuple[slice, slice]]]]:
@@ -110,7 +112,7 @@ def _schedule(runs: list[Run], images: Tensor) -> Iterator[tuple[int, slice, lis
     for field, start, stop in runs:
         ends = [(first, min(first + size, stop)) for first in range(start, stop, size)]
         blocks = [(slice(a, b), slice(begin + a - start, begin + b - start)) for a, b in ends]
-        for colours in _colours(images):
+        for colours in _colours(images, runs):
             yield field, colours, blocks
         begin += stop - start
 
@@ -151,9 +153,7 @@ def convolve(images: Tensor, psf: Tensor, runs: list[Run], spectra_of_psf: dict[
     spectra = torch.fft.fft2(padded, size)
     kernels = spectra_of_psf.get(size)
     if kernels is None:
-        blocks = psf.detach().to(spectra.dtype).flatten(0, 1).split(_at_once(spectra))
-        planes = torch.cat([torch.fft.fft2(block, size, norm="forward") for block in blocks])
-        kernels = planes.unflatten(0, psf.shape[:2])
+        kernels = torch.fft.fft2(psf.detach().to(spectra.dtype), size, norm="forward")
         if not torch.compiler.is_exporting():  # otherwise it has no values, and later captures would be noise
             spectra_of_psf[size] = kernels
     return _Convolution.apply(spectra, means, psf, runs, (height, width), kernels)

@@ -92,10 +92,12 @@ class Merit:
         rays, traces, derivative = linearise(lens, self._launch(lens), lens.refractive_indices(view.wavelengths_um))
         valid = rays.valid[..., : len(self.weight)]
         x, y = self._errors(rays.x, rays.y, valid, change=False)
-        errors = [torch.where(valid, 1e3 * self.share * error, _LOST_RAY_UM * self.share) for error in (x, y)]
+        scale = torch.where(valid, 1e3 * self.share, 0.0)
+        errors = [torch.where(valid, scale * error, _LOST_RAY_UM * self.share) for error in (x, y)]
         outermost = [_outermost(surface_rays) for surface_rays in traces]
         chief = torch.stack([self._chief(v) for v in (rays.x, rays.y, rays.l, rays.m, rays.n)])
-        radii = torch.stack([torch.hypot(x, y) for x, y, _ in outermost])
+        points, farthest = torch.stack([torch.stack(point) for *point, _ in outermost]), [i for *_, i in outermost]
+        radii = torch.hypot(*points.T)
         operands = LinearLimits(lens.detached(), self.limits, self.all_radii, _APERTURE_RESERVE * radii, chief)
         weight = torch.full((len(operands.values),), self.per_mm, dtype=lens.dtype)
         weight[len(weight) - operands.chief_rays :] *= self.chief_weight
@@ -104,17 +106,13 @@ class Merit:
 
         def columns(changes: Mapping[str, Tensor]) -> Tensor:
             (dx, dy, dl, dm, dn), changes_behind = derivative(changes)
-            ex, ey = self._errors(dx, dy, valid, change=True)
-            rows = [torch.where(valid, 1e3 * self.share * change, 0.0).flatten(1) for change in (ex, ey)]
+            rows = [(scale * change).flatten(1) for change in self._errors(dx, dy, valid, change=True)]
             chief = torch.stack([self._chief(v) for v in (dx, dy, dl, dm, dn)], 1)
-            aperture = [
-                (x * dx.flatten(1)[:, i] + y * dy.flatten(1)[:, i]) / height
-                for (x, y, i), (dx, dy), height in zip(outermost, changes_behind, radii, strict=True)
-            ]
-            apertures = _APERTURE_RESERVE * torch.stack(aperture, -1)
+            at_farthest = changes_behind.flatten(3)[:, range(len(points)), :, farthest]  # (S, V, 2)
+            apertures = _APERTURE_RESERVE * (at_farthest * points[:, None]).sum(-1).T / radii
             limit_columns = operands.along({**changes, "chief": chief, "semi_diameter": apertures})
             rows.append((weight[:, None] * limit_columns).T)
-            return torch.nan_to_num(torch.cat(rows, 1).T, 0.0, 0.0, 0.0)
+            return torch.cat(rows, 1).T.nan_to_num_(0.0, 0.0, 0.0)
 
         # A perturbed lens can have residuals that are not finite; scipy does not accept them.
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns

@@ -14,7 +14,7 @@ from torchvision.transforms.v2.functional import resize
 from tasklens.design.problem import Problem
 from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.illumination import relative_illumination
-from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters, trace_fields
+from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields, trace_with_chief
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
@@ -169,8 +169,10 @@ class Objective:
 
     def trace(self, lens: Lens, view: View, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""
-        rays = trace_fields(lens, view, pupil)
-        centre = view.fields if self.centre == "pinhole" else chief_points(lens, view)
+        if self.centre == "pinhole":
+            rays, centre = trace_fields(lens, view, pupil), view.fields
+        else:
+            rays, centre = trace_with_chief(lens, view, pupil)
         return rays, psf(rays, centre, view.pixel_pitch_um * pixels, view.kernel_size)
 
     def illumination(self, lens: Lens, view: View) -> Tensor | None:

@@ -12,7 +12,9 @@ Levenberg-Marquardt. A gradient g that presses against a limit holds it violated
 
 from dataclasses import dataclass
 
+import numpy
 import torch
+from scipy.linalg import eigh
 from torch import Tensor
 
 from tasklens.design.constraints import limit_margins, worst_margin
@@ -66,16 +68,21 @@ class LinearModel:
         curvature = weight * self.limits.T @ self.limits
         slope = gradient + weight * self.limits.T @ self.violation
 
-        def change(log_mu: float) -> Tensor:
-            return -torch.linalg.solve_ex(10**log_mu * regular + curvature, slope)[0]
+        # In the basis in which `regular` is 1 and `curvature` is diagonal, a step is a division for each mu.
+        eigenvalues, basis = eigh(curvature.numpy(), regular.numpy())
+        eigenvalues = eigenvalues.clip(min=0.0)  # rounding
+        along, metric = slope.numpy() @ basis, basis.T @ self.metric.numpy() @ basis
+
+        def change(log_mu: float) -> numpy.ndarray:
+            return -along / (10**log_mu + eigenvalues)
 
         low, high = -12.0, 8.0  # of the decadic logarithm of mu
         while high - low > 1e-3:
             middle = (low + high) / 2
             delta = change(middle)
-            is_small = float(delta @ self.metric @ delta) <= step_size**2
+            is_small = delta @ metric @ delta <= step_size**2
             low, high = (low, middle) if is_small else (middle, high)
-        return change(high)
+        return torch.from_numpy(basis @ change(high))
 
 
 class RaySpace:

@@ -64,6 +64,19 @@ def chief_points(lens: Lens, view: View) -> Tensor:
     return torch.stack([rays.x[:, 0, 0], rays.y[:, 0, 0]], -1)
 
 
+def trace_with_chief(lens: Lens, view: View, pupil: Tensor) -> tuple[Rays, Tensor]:
+    """Return the rays of `trace_fields` and the points (F, 2) of `chief_points`, by one trace if no aperture is clear.
+
+    The chief ray is then one more ray of each bundle.
+    """
+    if not bool(lens.semi_diameter.isinf()[torch.arange(len(lens.media)) != lens.stop].all()):
+        return trace_fields(lens, view, pupil), chief_points(lens, view)
+    rays = trace_fields(lens, view, torch.cat([pupil, _CENTRE]))
+    middle = len(view.wavelengths_um) // 2
+    chief = torch.stack([rays.x[:, middle, -1], rays.y[:, middle, -1]], -1)
+    return Rays(*(values[..., :-1] for values in vars(rays).values())), chief
+
+
 def chief_scale(lens: Lens, view: View) -> Tensor:
     """Compute the image height per field h / (f tan(theta)), (), of chief rays near the axis, on the image plane.
 

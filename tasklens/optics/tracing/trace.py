@@ -127,11 +127,11 @@ class Derivative(NamedTuple):
 
     Attributes:
         image: x, y, l, m and n of the rays on the image plane.
-        behind: x and y of the rays behind every surface.
+        behind: (V, S, 2, ..., W, N) x and y of the rays behind every surface.
     """
 
     image: tuple[Tensor, ...]
-    behind: list[tuple[Tensor, Tensor]]
+    behind: Tensor
 
 
 class Linearised(NamedTuple):
@@ -158,6 +158,6 @@ def linearise(lens: Lens, rays: Rays, indices: Tensor) -> Linearised:
         along = [changes.get(name) for name in _PARAMETERS]
         d_image, d_record = (traced.of_rays(v) for v in traced.forward([None, None, *along, None, None], record=True))
         x, y, _, l, m, n, _ = d_image.unbind(1)
-        return Derivative((x, y, l, m, n), [d.unbind(1) for d in d_record.unbind(1)])
+        return Derivative((x, y, l, m, n), d_record)
 
     return Linearised(image, _record(traced), derivative)
