@@ -15,7 +15,8 @@ from scipy.stats import chi2
 from torch import nn
 
 import tasklens
-from tasklens.camera.imaging import PsfCamera, noise
+from tasklens.camera.exposure import noise
+from tasklens.camera.imaging import PsfCamera
 from tasklens.design.constraints import all_margins, limit_margins, worst_margin
 from tasklens.design.criteria import Contrast, SpotRadius, TaskLoss
 from tasklens.design.merit import limit_semi_diameters

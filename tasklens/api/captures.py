@@ -11,7 +11,8 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from tasklens.camera.imaging import PsfCamera, check_capture, noise
+from tasklens.camera.exposure import noise
+from tasklens.camera.imaging import PsfCamera, check_capture
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.spots import evaluation_psf, has_light

@@ -3,7 +3,7 @@
 capture = image * PSF + (1 - sum(PSF)) mean(image) = (image - mean(image)) * PSF + mean(image)
 
 The second term is the light outside the PSF window, modelled as a uniform veil, so that the mean flux is conserved.
-Borders are reflected. An optional sensor adds noise and quantises, see `expose`.
+Borders are reflected. An optional sensor adds noise and quantises (`exposure`).
 """
 
 from collections.abc import Sequence
@@ -14,6 +14,7 @@ from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from torch import Tensor
 
 from tasklens.camera.convolution import Run, convolve
+from tasklens.camera.exposure import expose, noise
 from tasklens.runtime.devices import send
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import as_tensor, explain_errors
@@ -212,31 +213,3 @@ def check_capture(colour: str | None, outside_window: str = "veil", sensor: Sens
 def psnr(images: Tensor, reference: Tensor) -> Tensor:
     """Compute the PSNR of each image [dB], for values in [0, 1]: -10 log10(mean squared error)."""
     return -10 * torch.log10((images - reference).square().mean((-3, -2, -1)).clamp(min=1e-12))
-
-
-def noise(shape: Sequence[int], generator: torch.Generator) -> Tensor:
-    """Return standard normal numbers."""
-    return torch.randn(tuple(shape), generator=generator)
-
-
-def expose(light: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:
-    """Expose a sensor: shot and read noise, illumination correction, and quantised sRGB values.
-
-    N = W E + sqrt(W E + r^2) z,  value = N / W,  W = illumination * full_well / gain
-
-    E is the linear light of the capture (1 is white), r the read noise. The Gaussian has the mean and variance of the
-    Poisson distribution. The gradient passes through the quantisation unchanged.
-
-    Args:
-        light: (..., 3, H, W) linear light; clipped to [0, 1].
-        illumination: (...) relative illumination.
-        noise: standard normal numbers z, in the shape of `light`.
-    """
-    white = (sensor.full_well / sensor.gain * illumination).clamp(min=1e-6)[..., None, None, None]
-    light = light.clamp(0, 1)
-    deviation = torch.sqrt(light / white + (max(sensor.read_noise, 1e-3) / white).square())
-    exact = linear_rgb_to_rgb((light + deviation * noise).clamp(0, 1))
-    levels = 2**sensor.bits - 1
-    with torch.no_grad():
-        rounding = (exact * levels).round_().div_(levels).sub_(exact)
-    return exact + rounding

@@ -9,7 +9,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.camera.imaging import PsfCamera, noise, psnr
+from tasklens.camera.exposure import noise
+from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.optics.io import psf_files
 from tasklens.recognition.classifiers import Classifier, parameters_m
 from tasklens.recognition.dataset import ImageDataset
