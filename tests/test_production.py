@@ -15,7 +15,6 @@ from tolerance_examples import doublet, grade
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design import production
 from tasklens.design.production import Production
-from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing.manufacturing_errors import draw, errors
@@ -88,7 +87,7 @@ def test_errors_and_allotted_tolerances_go_on_where_they_were_killed(tmp_path, m
     process = production_of(grade(radius_percent=1.0, thickness_um=30.0))
     displacement_um = displacements(process.lens, process.view, process.errors, 64)
     monkeypatch.setattr("tasklens.runtime.checkpoints.INTERVAL", 0.0)
-    monkeypatch.setattr("tasklens.optics.tolerancing.allocation.YIELD", 0.5)  # of two lenses, one
+    monkeypatch.setattr("tasklens.optics.tolerancing.monte_carlo.YIELD", 0.5)  # of two lenses, one
     accuracy, calls, last = Production.accuracy, [], [math.inf]
 
     def counted(self, lens, images):
@@ -128,15 +127,15 @@ def test_single_errors_and_allotted_tolerances():
     at = [error.name for error in process.errors].index("element decentre 1 x")
     nominal = process.measure(process.lens, IMAGES)["accuracy"]
     changes = production.one_at_a_time(process, [at], nominal, IMAGES)
-    along, peak = torch.zeros(len(process.errors), dtype=torch.float64), focus.peak(process.lens, process.view)
+    along = torch.zeros(len(process.errors), dtype=torch.float64)
     along[at] = 1.0
-    both = [process.accuracy(process.build(s * along, peak)[0], IMAGES)[0].mean() for s in (1, -1)]
+    both = [process.accuracy(process.build(s * along)[0], IMAGES)[0].mean() for s in (1, -1)]
     assert changes == {at: pytest.approx(float(sum(both)) / 2 - nominal)}
     displacement_um = displacements(process.lens, process.view, process.errors, 64)
     allotted = production.widest_tolerances(process, displacement_um, 20, 0, IMAGES)
     assert allotted.min() < 1.0
     samples = draw(process.errors, 12, 11)
-    lost = [nominal - process.accuracy(process.build(allotted * z, peak)[0], IMAGES)[0].mean() for z in samples]
+    lost = [nominal - process.accuracy(process.build(allotted * z)[0], IMAGES)[0].mean() for z in samples]
     assert sum(points > 1 for points in lost) <= 2
 
 

@@ -12,13 +12,13 @@ from torchvision.transforms.v2 import TrivialAugmentWide
 from torchvision.transforms.v2.functional import resize
 
 from tasklens.design.problem import Problem
-from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields, trace_with_chief
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
-from tasklens.optics.tolerancing.manufacturing_errors import draw, errors, with_errors
+from tasklens.optics.tolerancing.manufacturing_errors import errors
+from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.runtime.devices import random_state, set_random_state
@@ -162,10 +162,8 @@ class Objective:
             return [lens]
         view, design = self.problem.view, lens.detached()
         radii = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
-        error_list = errors(replace(design, semi_diameter=radii), self.grade)
-        peak = focus.peak(lens, view)
-        lenses = [with_errors(lens, error_list, sample, view.reference_um) for sample in draw(error_list, count, seed)]
-        return [focus.focus_built(built_lens, view, peak)[0] for built_lens in lenses]
+        lenses = MonteCarlo(lens, view, errors(replace(design, semi_diameter=radii), self.grade))
+        return [lenses.build(fractions)[0] for fractions in lenses.draws(count, seed)]
 
     def trace(self, lens: Lens, view: View, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""

@@ -13,8 +13,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.manufacturing_errors import Error, draw, with_errors
-from tasklens.optics.view import View
+from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.recognition.evaluation import CapturePipeline, classify
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.progress import Progress
@@ -26,28 +25,16 @@ Images = tuple[Tensor, Tensor]  # images (N, 3, H, W) in [0, 1], and their label
 
 
 @dataclass(frozen=True)
-class Production:
-    """Production of one design.
+class Production(MonteCarlo):
+    """Production of one design, measured by a classifier; `view` has the fields of spots, too.
 
     Attributes:
-        lens: the design.
-        view: fields, wavelengths and pixels of focus and spots.
-        errors: P errors of a built lens.
         pipeline: returns the capture pipeline of a lens.
         classifier: function from captures (B, 3, H, W) to logits (B, C).
     """
 
-    lens: Lens
-    view: View
-    errors: Sequence[Error]
     pipeline: Callable[[Lens], CapturePipeline]
     classifier: Callable[[Tensor], Tensor]
-
-    def build(self, fractions: Tensor, peak: Tensor) -> tuple[Lens, Tensor]:
-        """Build a lens with errors (P,) [fractions of tolerances]; return it focused, and its focus shift [mm]."""
-        return focus.focus_built(
-            with_errors(self.lens, self.errors, fractions, self.view.reference_um), self.view, peak
-        )
 
     def accuracy(self, lens: Lens, images: Images) -> tuple[Tensor, float]:
         """Return the accuracy (F,) of each field [%], and the mean cross-entropy."""
@@ -83,12 +70,11 @@ def built_lenses(
         return part.result["rows"]
     rows = [] if part.state is None else part.state["rows"]
     progress = Progress("built lenses", count)
-    peak = focus.peak(production.lens, production.view)
     if not rows:
         rows = [{"lens": "design"} | production.measure(production.lens, images) | {"focus_um": 0.0}]
-    samples = draw(production.errors, count, seed)
+    draws = production.draws(count, seed)
     for k in range(len(rows) - 1, count):
-        lens, shift = production.build(samples[k], peak)
+        lens, shift = production.build(draws[k])
         rows.append({"lens": k} | production.measure(lens, images) | {"focus_um": 1e3 * float(shift)})
         progress(k + 1, accuracy=rows[-1]["accuracy"])
         part.save(k + 1, rows=rows)
@@ -112,14 +98,13 @@ def one_at_a_time(
     part = checkpoint.part("errors one at a time")
     state = part.state if part.result is None else part.result
     changes: dict[int, float] = {} if state is None else state["changes"]
-    peak = focus.peak(production.lens, production.view)
     progress = Progress("errors one at a time", len(indices))
     for step, k in enumerate(indices, 1):
         if k in changes:
             continue
         direction = torch.zeros(len(production.errors), dtype=torch.float64)
         direction[k] = 1.0
-        accuracies = [production.accuracy(production.build(s * direction, peak)[0], images)[0].mean() for s in (1, -1)]
+        accuracies = [production.accuracy(production.build(s * direction)[0], images)[0].mean() for s in (1, -1)]
         changes[k] = float(sum(accuracies)) / 2 - nominal
         progress(step)
         part.save(step, changes=changes)
@@ -147,8 +132,7 @@ def widest_tolerances(
     """
     if not displacements.isfinite().all():
         return None
-    peak = focus.peak(production.lens, production.view)
-    samples = draw(production.errors, count, seed + allocation.SEED)
+    draws = production.draws(count, seed + allocation.SEED)
     threshold = production.accuracy(production.lens, images)[0].mean() - _ALLOWED_POINTS
     progress = Progress("allocation of tolerances", allocation.TRIALS)
     part = checkpoint.part("allocation of tolerances")
@@ -157,19 +141,16 @@ def widest_tolerances(
     outcomes: list[bool] = [] if state is None else state["passed"]
     trial = iter(range(1, allocation.TRIALS + 1))
 
+    def is_good(lens: Lens) -> bool:
+        return bool(production.accuracy(lens, images)[0].mean() >= threshold - 1e-9)
+
     def passes(tolerances: Tensor) -> bool:
-        step, bad = next(trial), 0
-        if step <= len(outcomes):
-            return outcomes[step - 1]
-        for fractions in samples:
-            lens, _ = production.build(tolerances * fractions, peak)
-            bad += bool(production.accuracy(lens, images)[0].mean() < threshold - 1e-9)
-            if bad > (1 - allocation.YIELD) * count:
-                break
-        progress(step, bad=bad)
-        outcomes.append(bad <= (1 - allocation.YIELD) * count)
-        part.save(step, passed=outcomes)
-        return outcomes[-1]
+        step = next(trial)
+        if step > len(outcomes):
+            outcomes.append(production.enough_are_good(draws, tolerances, is_good))
+            progress(step)
+            part.save(step, passed=outcomes)
+        return outcomes[step - 1]
 
     widest = allocation.widest(displacements, passes)
     part.finish(passed=outcomes)

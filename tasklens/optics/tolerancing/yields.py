@@ -1,6 +1,5 @@
 """Spots and contrast of built lenses, and the tolerances with which most of them are good."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -13,7 +12,8 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.manufacturing_errors import Error, draw, errors, with_errors
+from tasklens.optics.tolerancing.manufacturing_errors import Error, errors
+from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
@@ -75,30 +75,21 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
     moved_um = displacements(lens, view, error_list, _RAYS)
     if not moved_um.isfinite().all():
         raise InputError("no light arrives at some field of the lens: give a smaller --field-of-view")
-    peak = focus.peak(lens, view)
-    progress = Progress("built lenses", count)
+    lenses, progress = MonteCarlo(lens, view, error_list), Progress("built lenses", count)
     qualities = []
-    for k, fractions in enumerate(draw(error_list, count, seed), 1):
-        qualities.append(_quality(_assemble(lens, view, error_list, fractions, peak), view))
+    for k, fractions in enumerate(lenses.draws(count, seed), 1):
+        qualities.append(_quality(lenses.build(fractions)[0], view))
         progress(k, rms_um=qualities[-1].rms_spot_um)
     design = _quality(lens, view)
-    draws = draw(error_list, min(count, allocation.TRIED), seed + allocation.SEED)
+    draws = lenses.draws(min(count, allocation.TRIED), seed + allocation.SEED)
 
-    def passes(scale: Tensor) -> bool:
-        bad = 0
-        for fractions in draws:
-            lens_built = _assemble(lens, view, error_list, scale * fractions, peak)
-            bad += _quality(lens_built, view).mtf_quarter_nyquist < KEPT_MTF * design.mtf_quarter_nyquist
-            if bad > (1 - allocation.YIELD) * len(draws):
-                return False
-        return True
+    def is_good(built_lens: Lens) -> bool:
+        return _quality(built_lens, view).mtf_quarter_nyquist >= KEPT_MTF * design.mtf_quarter_nyquist
 
-    allotted = allocation.widest(allocation.both_axes(error_list, moved_um), passes)
-    return Tolerances(design, qualities, error_list, moved_um, allotted, 1e3 * float(peak))
-
-
-def _assemble(lens: Lens, view: View, error_list: Sequence[Error], fractions: Tensor, peak: Tensor) -> Lens:
-    return focus.focus_built(with_errors(lens, error_list, fractions, view.reference_um), view, peak)[0]
+    allotted = allocation.widest(
+        allocation.both_axes(error_list, moved_um), lambda scale: lenses.enough_are_good(draws, scale, is_good)
+    )
+    return Tolerances(design, qualities, error_list, moved_um, allotted, 1e3 * float(lenses.peak))
 
 
 def _quality(lens: Lens, view: View) -> Quality:
