@@ -1,43 +1,12 @@
-"""Figures of lenses: of one, and of the task-driven lenses of some elements beside the best imaging lens (figure 3)."""
+"""Drawing of a lens in one figure."""
 
-from collections.abc import Sequence
 from pathlib import Path
 
 from tasklens.show import figures
 from tasklens.show.panel import Panel
-from tasklens.study.claims import Claims
-from tasklens.study.report.measurements import Measurements
 from tasklens.study.report_jobs import DrawingJob
 
 
-def draw(settings: DrawingJob, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
-    """Draw a lens as PNG, SVG and PDF."""
+def run(settings: DrawingJob, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
+    """Draw the lens as PNG, SVG and PDF."""
     figures.save(figures.figure_of([Panel.read(settings.lens, lens, psf)]), [figure, figure_svg, figure_pdf])
-
-
-def compare(
-    settings: Claims,
-    lenses: Sequence[Path],
-    psfs: Sequence[Path],
-    metrics: Sequence[Path],
-    figure: Path,
-    figure_svg: Path,
-    figure_pdf: Path,
-) -> None:
-    """Draw the lens of each claim, and the strongest baseline of the claims.
-
-    Args:
-        lenses, psfs: files of the lenses in `settings.lenses`.
-        metrics: measurements of `settings.baseline_keys`.
-    """
-    lens_of = dict(zip(settings.lenses, lenses, strict=True))
-    psf_of = dict(zip(settings.lenses, psfs, strict=True))
-    panels = [Panel.read(lens, lens_of[lens], psf_of[lens]) for lens in lenses_to_draw(settings, metrics)]
-    figures.save(figures.figure_of(panels), [figure, figure_svg, figure_pdf])
-
-
-def lenses_to_draw(settings: Claims, metrics: Sequence[Path]) -> list[str]:
-    """Return the lens of each claim, and the strongest baseline of the claims."""
-    metrics_of = dict(zip(settings.baseline_keys, metrics, strict=True))
-    strongest = Measurements({}, metrics_of).strongest_baseline(settings.claims[0], *settings.seeds)
-    return [*(claim.lens for claim in settings.claims), strongest]
