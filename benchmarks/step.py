@@ -1,9 +1,9 @@
-"""Time of a task-driven step by part (rays and PSFs, captures, network), and the share of the optics.
+"""Time of a task-driven step by part (rays and PSFs, captures, network, step), and the share of the optics.
 
-The benchmark times three steps: the default study's, and the paper's with MobileNetV2 and ResNet50 (random weights, 64
-images of 224 px at nine fields). For the paper's steps it times 2 images, and multiplies times proportional to the
-captures by 32. The parts are those of `design.objective`; a second run with a trivial network gives the share of the
-network. The floor is the time of the network's operations at the speed of a large convolution.
+The benchmark times three steps: the default study's in ray space, and the paper's by AdamW with MobileNetV2 and ResNet50
+(random weights, 64 images of 224 px at nine fields). For the paper's steps it times 2 images, and multiplies times
+proportional to the captures by 32. The parts are those of `design.descent`; a second run with a trivial network gives the
+share of the network. The floor is the time of the network's operations at the speed of a large convolution.
 """
 
 import statistics
@@ -20,10 +20,9 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
 from tasklens.design import least_squares
-from tasklens.design.constraints import penalty
 from tasklens.design.criteria import CaptureCriterion, TaskLoss, loss_at_psf
 from tasklens.design.objective import Objective
-from tasklens.design.optimizers import AdamWOptimizer
+from tasklens.design.optimizers import OPTIMIZERS
 from tasklens.design.problem import Problem
 from tasklens.design.start import flat
 from tasklens.materials.catalogues import builtin
@@ -38,9 +37,10 @@ from tasklens.settings.specification import Constraints, Spec
 from tasklens.study.loading import parse
 
 STUDY = Path(__file__).parents[1] / "config" / "config.yaml"
-OPTICS = ("rays, PSFs, limits", "their backward", "captures and their backward")
-NETWORK = "network, forward and backward"
-ORDER = (*OPTICS, "augmentation", NETWORK, "optimizer")
+GRADIENT, STEP = "their gradient", "limits and step"
+CAPTURES, NETWORK = "captures and their gradient", "network, forward and backward"
+OPTICS = ("rays and PSFs", GRADIENT, CAPTURES, STEP)
+ORDER = (*OPTICS, "augmentation", NETWORK)
 
 
 class Average(nn.Module):
@@ -63,20 +63,24 @@ class Clock:
         self.times[part].append(time.process_time() - begin)
 
 
-def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: int, rounds: int) -> dict[str, float]:
+def timed_steps(
+    network: nn.Module, kind: str, images: int, timed: int, pixels: int, rays: int, rounds: int
+) -> dict[str, float]:
     """Median processor time [s] of each part of a step of a doublet, after one step of warm-up.
 
-    The step has `images` images, of which `timed` are computed; times proportional to the captures are scaled.
+    The step, by the optimizer `kind`, has `images` images, of which `timed` are computed; times proportional to the
+    captures are scaled.
     """
     dataset = noise(timed, pixels)
     problem = Problem(view_of_spec(Spec()), Constraints(), 0, CaptureSettings(), dataset)
     plates = flat((builtin("COC"), builtin("OKP4")), Spec(), problem.limits)
     quick = LeastSquaresSettings(method="least_squares", starts=6, evaluations=100)
     lens, _ = least_squares.design(plates, problem, quick)  # no ray is lost: lost rays cost time
-    optimizer = AdamWOptimizer(lens, problem, DescentSettings(optimizer="adamw", steps=rounds + 1))
+    settings = DescentSettings(optimizer=kind, steps=rounds + 1, centre="chief_ray")
+    optimizer = OPTIMIZERS[kind](lens, problem, settings)
     captures = timed * len(problem.view_of_step(0).fields)
     ours, nothing = TaskLoss(frozen(network, dataset.images)), TaskLoss(Average())
-    objective = Objective(ours, problem, None, augment=False, micro_batch=captures)
+    objective = Objective(ours, problem, None, augment=False, micro_batch=captures, centre=settings.centre)
     indices = torch.arange(timed)
 
     def at_psf(criterion: CaptureCriterion, grid: torch.Tensor) -> torch.Tensor:
@@ -86,24 +90,24 @@ def timed_steps(network: nn.Module, images: int, timed: int, pixels: int, rays: 
     for step in range(rounds + 1):
         if step <= 1:
             clock = Clock()  # the first step was the warm-up
-        with clock("rays, PSFs, limits"):
+        with clock("rays and PSFs"):
             vector = optimizer.vector()
             lens = optimizer.lens(vector)
             _, grid = objective.trace(lens, problem.view_of_step(step), sobol_disc(rays, step), 1.0)
-            bounds = penalty(lens, problem.limits, problem.view)
         with clock("augmentation"):
             objective.images(indices, augment=True)
-        with clock("captures and their backward"):
+        with clock(CAPTURES):
             at_psf(nothing, grid)
         with clock(NETWORK):
-            gradient = at_psf(ours, grid)
-        with clock("their backward"):
-            torch.autograd.backward([grid, bounds], [gradient, None])
-        with clock("optimizer"):
-            optimizer.apply(vector)  # uses the gradients of the variables
+            loss = (grid * at_psf(ours, grid)).sum()
+        with clock(GRADIENT):
+            torch.autograd.grad(loss, vector, retain_graph=True)
+        with clock(STEP):
+            optimizer.apply(optimizer.change(vector, lens, loss, 0.0, 1.0))
     middle = {part: statistics.median(times) for part, times in clock.times.items()}
-    middle[NETWORK] -= middle["captures and their backward"]
-    scaled = (NETWORK, "captures and their backward", "augmentation")
+    middle[NETWORK] -= middle[CAPTURES]
+    middle[STEP] -= middle[GRADIENT]
+    scaled = (NETWORK, CAPTURES, "augmentation")
     return {part: seconds * (images // timed if part in scaled else 1) for part, seconds in middle.items()}
 
 
@@ -149,13 +153,13 @@ def main(arguments: list[str] | None = None) -> None:
     supervisor, design = study.classifiers[study.supervisor], study.designs["tasklens"]
     network = Classifier(timm.create_model(supervisor.model, num_classes=10, **supervisor.arguments))
     images = 1 if options.tiny else design.batch_size
-    times = timed_steps(network, images, images, study.images.size, design.rays, options.rounds)
+    times = timed_steps(network, "ray_space", images, images, study.images.size, design.rays, options.rounds)
     title = f"Default study: {images} images x 9 fields, {supervisor.model}, {study.images.size} px"
     rows = rows_of(times, 9 * images, floor(network, study.images.size, options.rounds))
     timing.report(title, columns, rows, options.save)
     for model in () if options.tiny else ("mobilenetv2_100", "resnet50"):
         network = Classifier(timm.create_model(model, num_classes=10))
-        times = timed_steps(network, 64, 2, 224, 256, max(1, options.rounds // 3))
+        times = timed_steps(network, "adamw", 64, 2, 224, 256, max(1, options.rounds // 3))
         rows = rows_of(times, 576, floor(network, 224, options.rounds))
         timing.report(f"Paper: 64 images x 9 fields, {model}, 224 px", columns, rows, options.save)
 
