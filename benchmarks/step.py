@@ -1,9 +1,9 @@
 """Time of a task-driven step by part (rays and PSFs, captures, network, step), and the share of the optics.
 
-The benchmark times three steps: the default study's in ray space, and the paper's by AdamW with MobileNetV2 and ResNet50
-(random weights, 64 images of 224 px at nine fields). For the paper's steps it times 2 images, and multiplies times
-proportional to the captures by 32. The parts are those of `design.descent`; a second run with a trivial network gives the
-share of the network. The floor is the time of the network's operations at the speed of a large convolution.
+The benchmark times three steps: the default study's in ray space, and the paper's by AdamW with MobileNetV2 and
+ResNet50 (random weights, 64 images of 224 px at nine fields). For the paper's steps it times 2 images, and multiplies
+times proportional to the captures by 32. The parts are those of `design.descent`; a second run with a trivial network
+gives the share of the network. The floor is the time of the network's operations at the speed of a large convolution.
 """
 
 import statistics

@@ -7,30 +7,12 @@ import pandas
 
 from tasklens.optics.analysis.shapes import Shape
 from tasklens.optics.tolerancing.manufacturing_errors import DEVIATION
+from tasklens.show.headings import BY_FIELD
 from tasklens.show.optimality import optimum
 from tasklens.show.publish import right_aligned
 
 UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "deg"}  # else mm
 _SENSITIVE = 3  # number of most sensitive parts on the page
-# Columns of the table of fields: key in the figures of the lens file, heading, number of decimals.
-_FIELDS = (
-    ("angle_deg", "angle [deg]", 1),
-    ("valid_fraction", "valid", 3),
-    ("energy_in_window", "light in window", 3),
-    ("rms_centroid_um", "RMS, centroid [um]", 2),
-    ("rms_chief_ray_um", "RMS, chief ray [um]", 2),
-    ("rms_wavefront_waves", "RMS wavefront [waves]", 3),
-    ("core_radius_um", "EE50 [um]", 2),
-    ("radius_80_um", "EE80 [um]", 2),
-    ("mtf_tangential_quarter_nyquist", "MTF T 1/4", 3),
-    ("mtf_sagittal_quarter_nyquist", "MTF S 1/4", 3),
-    ("mtf_tangential_half_nyquist", "MTF T 1/2", 3),
-    ("mtf_sagittal_half_nyquist", "MTF S 1/2", 3),
-    ("distortion_percent", "distortion [%]", 2),
-    ("focus_tangential_um", "focus T [um]", 1),
-    ("focus_sagittal_um", "focus S [um]", 1),
-    ("relative_illumination", "rel. illum.", 3),
-)
 _SEIDEL = {
     "spherical": "S_I",
     "coma": "S_II",
@@ -61,7 +43,7 @@ def markdown(title: str, fields_mm: Sequence, content: Mapping, by_surface: Mapp
     """
     figures = content["figures"]
     lens = pandas.DataFrame(_lens(content).items(), columns=["figure", "value"])
-    rows = {heading: [f"{value:.{digits}f}" for value in figures[key]] for key, heading, digits in _FIELDS}
+    rows = {column.text: [format(value, column.digits) for value in figures[key]] for key, column in BY_FIELD.items()}
     points = {f"{axis} [mm]": [f"{point[i]:.2f}" for point in fields_mm] for i, axis in enumerate("xy")}
     fields = pandas.DataFrame(points | rows).T.rename(columns=lambda field: str(field + 1))
     fields = fields.rename_axis("field").reset_index()

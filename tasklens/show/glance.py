@@ -11,19 +11,8 @@ from tasklens.materials.material import AIR, short_name
 from tasklens.optics.analysis.mtf import perfect_mtf
 from tasklens.optics.lens import Lens
 from tasklens.show.certificate import UNITS
-from tasklens.show.headings import GAP
+from tasklens.show.headings import BY_FIELD, GAP
 
-_FIELDS = {  # key in the figures of a lens: label, number of decimals
-    "angle_deg": ("field [degrees]", 1),
-    "rms_centroid_um": ("RMS spot radius, about centroid [um]", 2),
-    "core_radius_um": ("radius of 50 % of the light [um]", 2),
-    "radius_80_um": ("radius of 80 % of the light [um]", 2),
-    "mtf_tangential_half_nyquist": ("geometric MTF at half Nyquist, T", 2),
-    "mtf_sagittal_half_nyquist": ("geometric MTF at half Nyquist, S", 2),
-    "energy_in_window": ("light in the PSF window", 3),
-    "distortion_percent": ("distortion [%]", 2),
-    "relative_illumination": ("relative illumination", 2),
-}
 _NEAR = ("object_distance_mm", "magnification", "working_f_number")  # only for an object at a finite distance
 _COLUMNS = {  # key of a row: its heading, format
     "lens": ("lens", ""),
@@ -73,7 +62,9 @@ def summary(lens: Lens, content: Mapping, figures: Mapping) -> dict[str, Any]:
         "perfect_mtf_half_nyquist": float(
             perfect_mtf(torch.tensor(half_nyquist), figures["diffraction_cutoff_per_mm"])
         ),
-        "fields": {key: [figures[key][field] for field in fields] for key in _FIELDS},
+        "fields": {
+            key: [figures[key][field] for field in fields] for key, column in BY_FIELD.items() if column.meaning
+        },
     }
     data |= {key: figures[key] for key in _NEAR if key in figures}
     return data | {key: content[key] for key in ("worst_margin", "origin") if key in content}
@@ -101,8 +92,9 @@ def text(name: str, data: Mapping) -> str:
             f"  object {data['object_distance_mm']:g} mm in front of the first surface, magnification "
             f"{data['magnification']:.4g}, paraxial working F/{data['working_f_number']:.2f}"
         )
-    for key, (meaning, digits) in _FIELDS.items():
-        lines.append(f"  {meaning:<37}" + "".join(f"{value:>9.{digits}f}" for value in data["fields"][key]))
+    for key, values in data["fields"].items():
+        column = BY_FIELD[key]
+        lines.append(f"  {column.meaning:<37}" + "".join(f"{format(value, column.digits):>9}" for value in values))
     if "worst_margin" in data:
         limit, value = data["worst_margin"]["limit"], data["worst_margin"]["value"]
         unit, limit = UNITS.get(limit, "mm"), limit.replace("_", " ")

@@ -150,6 +150,24 @@ HEADINGS = {
     "built_lose": Heading("built lose", "points", ".1f"),
     "built_lose_95": Heading("95 of 100 lose less", "points", ".1f"),
 }
+BY_FIELD = {  # figures of a lens at its fields; those with a meaning are shown at a glance
+    "angle_deg": Heading("angle", "deg", ".1f", meaning="field [degrees]"),
+    "valid_fraction": Heading("valid", "", ".3f"),
+    "rms_centroid_um": Heading("RMS, centroid", "um", ".2f", meaning="RMS spot radius, about centroid [um]"),
+    "rms_chief_ray_um": Heading("RMS, chief ray", "um", ".2f"),
+    "rms_wavefront_waves": Heading("RMS wavefront", "waves", ".3f"),
+    "core_radius_um": Heading("EE50", "um", ".2f", meaning="radius of 50 % of the light [um]"),
+    "radius_80_um": Heading("EE80", "um", ".2f", meaning="radius of 80 % of the light [um]"),
+    "mtf_tangential_quarter_nyquist": Heading("MTF T 1/4", "", ".2f"),
+    "mtf_sagittal_quarter_nyquist": Heading("MTF S 1/4", "", ".2f"),
+    "mtf_tangential_half_nyquist": Heading("MTF T 1/2", "", ".2f", meaning="geometric MTF at half Nyquist, T"),
+    "mtf_sagittal_half_nyquist": Heading("MTF S 1/2", "", ".2f", meaning="geometric MTF at half Nyquist, S"),
+    "energy_in_window": Heading("light in window", "", ".3f", meaning="light in the PSF window"),
+    "distortion_percent": Heading("distortion", "%", ".2f", meaning="distortion [%]"),
+    "focus_tangential_um": Heading("focus T", "um", ".1f"),
+    "focus_sagittal_um": Heading("focus S", "um", ".1f"),
+    "relative_illumination": Heading("rel. illum.", "", ".2f", meaning="relative illumination"),
+}
 
 
 def heading(name: str) -> Heading:
