@@ -4,11 +4,15 @@ import json
 import re
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from selenium.common.exceptions import TimeoutException
 from selenium.webdriver import Chrome, ChromeOptions
 from selenium.webdriver.chrome.service import Service
+from selenium.webdriver.common.by import By
+from selenium.webdriver.remote.webelement import WebElement
+from selenium.webdriver.support.ui import WebDriverWait
 
 ABSENT = [name for name in ("chromium", "chromedriver") if shutil.which(name) is None]
 OPTIONS = [
@@ -39,9 +43,46 @@ def window(opened: Chrome, width: int, height: int) -> None:
     opened.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
 
 
-def colour_scheme(opened: Chrome, scheme: str) -> None:
+def widths(opened: Chrome, expected: int) -> list[int]:
+    """Widths of the screen and of what is on it; charts follow the width with a delay."""
+    script = "return [innerWidth, document.documentElement.scrollWidth]"
+    with suppress(TimeoutException):
+        WebDriverWait(opened, 5).until(lambda _: opened.execute_script(script) == [expected, expected])
+    return opened.execute_script(script)
+
+
+def draw_charts(opened: Chrome) -> int:
+    """Scroll through the page until every chart is drawn; return the number of charts."""
+    charts = opened.find_elements(By.CLASS_NAME, "chart")
+    for chart in charts:
+        opened.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", chart)
+        WebDriverWait(opened, 10).until(lambda _, own=chart: own.find_elements(By.CSS_SELECTOR, "svg.main-svg"))
+    return len(charts)
+
+
+def write(opened: Chrome, field: WebElement, text: str) -> None:
+    """Write a text into a field, in place of the one before."""
+    script = "arguments[0].value = arguments[1]; arguments[0].dispatchEvent(new Event('input'))"
+    opened.execute_script(script, field, text)
+
+
+def numbers(opened: Chrome, table: str, column: int) -> list[float | None]:
+    """Numbers in the column of a table, None for gaps."""
+    script = f"return [...document.querySelectorAll('#{table} tbody tr')].map(row => row.cells[{column}].textContent)"
+    texts = [text.replace("★", "").strip() for text in opened.execute_script(script)]
+    return [None if text == "–" else float(text) for text in texts]
+
+
+def brightness(opened: Chrome, scheme: str) -> list[int]:
+    """Sums of red, green and blue in a colour scheme: of the page, and of the text of its charts."""
     features = [{"name": "prefers-color-scheme", "value": scheme}]
     opened.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    colours = (
+        "return [getComputedStyle(document.body).backgroundColor,"
+        " getComputedStyle(document.querySelector('.chart text')).fill]"
+    )
+    script = f"const done = arguments[0]; setTimeout(() => done((() => {{ {colours} }})()), 500)"
+    return [sum(map(int, re.findall(r"\d+", colour)[:3])) for colour in opened.execute_async_script(script)]
 
 
 def requests(opened: Chrome, page: str) -> set[str]:

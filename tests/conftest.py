@@ -62,6 +62,7 @@ LONGEST = (
     "test_checkpoints.py",
     "test_finished.py",
     "test_structure.py",
+    "test_digests.py",
     "test_compiled.py",
     "test_cli.py",
     "test_new_study.py",

@@ -1,4 +1,4 @@
-"""Small design problems: a view, its limits, images and a network, and descents on them."""
+"""Small design problems: a view, its limits, fields, images and a network, and descents on them."""
 
 import torch
 from examples import by_descents, random_images
@@ -6,6 +6,7 @@ from torch import nn
 
 from tasklens.design.criteria import ImageError, JointTaskLoss, SpotRadius, TaskLoss
 from tasklens.design.problem import Problem
+from tasklens.fields import GRADING, SELECTION, Points
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.classifiers import frozen
@@ -21,6 +22,8 @@ NO_LIMITS = NO_LIMITS.model_copy(update={"efl_tolerance": 1e9, "distortion": 1e9
 LEARNING_RATES = LearningRates(curvature=1e-2, thickness=5e-3, alpha_4=1e-2, decay=0.5)
 RESTARTS = DescentSettings(steps=3, pixels=(20, 5), lenses=2)
 REFINEMENT = DescentSettings(steps=2, pixels=(5, 1))
+GRADED, SELECTED = (sum(sets, ()) for sets in (GRADING, SELECTION))  # all fields of each
+OWN: Points = ((0.0, 0.0), (0.6, 0.2), (0.3, 0.7), (1.0, 1.0), (0.9, 0.4))  # a list of fields in a study
 
 
 def problem(limits=LIMITS, classes=3) -> Problem:

@@ -24,6 +24,10 @@ from tasklens.settings.specification import Spec
 from tasklens.study.report.measurements import Measurements
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
+TASK_TRAINING = {"epochs": 1, "learning_rate": 1e-3, "batch_size": 4}
+SEGMENTATION = {"kind": "segmentation", "model": "lraspp_mobilenet_v3_large"}
+MASKS = {"kind": "instance_segmentation", "backbone": "resnet18", "channels": 8}
+BOXES = MASKS | {"kind": "detection"}
 
 
 def f64(values) -> Tensor:

@@ -1,13 +1,24 @@
-"""Result files of a study in which a chosen fraction of the captures through each lens is correct."""
+"""A study for the claims, and result files in which a chosen fraction of the captures through each lens is correct."""
 
 import numpy
 import pandas
 import yaml
-from examples import lens_file, measurement, write
+from examples import changed, lens_file, measurement, tiny_study, write
 
 from tasklens.settings.names import SHARP, measured_name
+from tasklens.study.loading import parse
+from tasklens.study.study import Study
 
 IMAGES, FIELDS = 200, 9
+DOUBLET = ["COC", "OKP4"]
+
+
+def study_of(seeds: int, **elements) -> Study:
+    """A study of two least-squares designs among others, by default of doublets and triplets."""
+    plastics = elements or {"doublet": DOUBLET, "triplet": [*DOUBLET, "COC"]}
+    designs = tiny_study()["designs"] | {"imaging3": tiny_study()["designs"]["imaging2"]}
+    study = tiny_study() | {"elements": plastics, "designs": designs}
+    return parse(changed(study, "seeds", list(range(seeds))))
 
 
 def write_results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:

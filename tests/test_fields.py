@@ -1,6 +1,5 @@
-"""Fields: points that designs see, points at which lenses are graded, and limits that hold between them."""
+"""Designs and gradings see fields that are uniform in area, and what fits only some fields is found between them."""
 
-import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,9 +7,8 @@ import numpy
 import pandas
 import pytest
 import torch
-from designs import LIMITS, VIEW, problem, tiny_network
-from examples import changed, f64, lens_and_view, lens_file, tiny_study
-from rules import finish, slices
+from designs import GRADED, LIMITS, OWN, SELECTED, VIEW, problem, tiny_network
+from examples import f64
 from scipy.stats import chi2
 from torch import nn
 
@@ -23,40 +21,24 @@ from tasklens.design.merit import limit_semi_diameters
 from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import repair
-from tasklens.fields import CELLS, CORNER, GRADING, GRADING_CENTRES, PAPER, SELECTION, Points, cell_centres
+from tasklens.fields import CELLS, CORNER, GRADING_CENTRES, PAPER, SELECTION, cell_centres
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters, evaluation_psf
-from tasklens.optics.io import prescription, psf_files
-from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.io import prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import drawn_points, view_of_spec
 from tasklens.recognition.evaluation import CapturePipeline
-from tasklens.runtime.files import FileError, read_tensors
+from tasklens.runtime.files import FileError
 from tasklens.settings.capture_settings import SensorSettings
-from tasklens.settings.field_settings import FieldSettings
 from tasklens.settings.specification import Spec
 from tasklens.show import between_fields
-from tasklens.study.loading import parse
-from tasklens.study.study import Study, StudyError
-from tasklens.study.table_contents import lens_design
 
 HEADLINE = Path(__file__).parents[1] / "docs/results/headline/lenses"
-GRADED, SELECTED = (sum(sets, ()) for sets in (GRADING, SELECTION))
-OWN: Points = ((0.0, 0.0), (0.6, 0.2), (0.3, 0.7), (1.0, 1.0), (0.9, 0.4))
-LIST = [list(point) for point in OWN]  # as a study file has them
 
 
 def published(name: str) -> Lens:
     """A lens of the headline study."""
     return prescription.read(HEADLINE / f"{name}.yaml")[0].lens
-
-
-def small(**keys) -> Study:
-    """The small study with other keys."""
-    return parse({"extends": "small", "name": "mine", **keys})
-
-
-# ---- sets of fields
 
 
 def test_draws_are_uniform_in_area():
@@ -109,105 +91,6 @@ def test_images_take_the_quarters_of_the_cells_in_turns(sensor):
         assert CapturePipeline(camera, turns=4).all_fields(images[:1]).shape == (3, 1, 3, 16, 16)
 
 
-ALL_BUT_ONE = [[0, 0], [0.5, 0], [0, 0.5], [0.5, 0.5]]
-
-
-@pytest.mark.parametrize(
-    "fields, words",
-    [
-        ({"design": "nine"}, "fields.design = 'nine': expected sensor or paper"),
-        ({"design": [[0, 0], [1, 1], [0.5, 0.5]]}, "expected at least 4 fields, found 3"),
-        ({"design": [*ALL_BUT_ONE, [1.2, 1]]}, "expected sensor or paper, or a list of [x, y]"),
-        ({"design": [*ALL_BUT_ONE, [0.7, 0.7]]}, "fields.design: the set misses the corner by 0.15 of the diagonal"),
-        ({"design": [[0.3, 0.3], *3 * [[1, 1]]]}, "fields.design: the set misses the axis by 0.15 of the diagonal"),
-        ({"grading": [*ALL_BUT_ONE, [0.7, 0.7]]}, "fields.grading: the set misses the corner by 0.15 of the diagonal"),
-        ({"design": [[0, 0], [1, 1], *GRADED[:4]]}, "fields.grading: [0.0625, 0.0625] is also a field of"),
-        ({"design": "paper", "grading": PAPER}, "fields.grading: [0, 0] is also a field of fields.design"),
-        ({"grading": SELECTED}, "is also a field of the choice among lenses"),
-        ({"design": "sensor", "gradig": "paper"}, "fields.gradig = 'paper': unknown key; did you mean grading?"),
-    ],
-)
-def test_wrong_fields_are_refused(fields, words):
-    with pytest.raises(StudyError) as error:
-        small(fields=fields)
-    assert words in str(error.value) and "\n" not in str(error.value)
-
-
-def test_fields_of_a_variant_are_checked_too():
-    """They may not be those of the grading, nor the study's own, which change nothing."""
-
-    def variant(fields) -> dict:
-        return {"fields": {"elements": "doublet", "design": "tasklens", "variants": {"other": {"fields": fields}}}}
-
-    assert small(ablations=variant("paper")).design_points("doublet-tasklens_fields_other") == PAPER
-    for fields, words in (
-        (GRADED, "is also a field of ablations.fields.variants.other.fields"),
-        (ALL_BUT_ONE, "ablations.fields.variants.other.fields: the set misses the corner"),
-        (OWN[:3], "expected at least 4 fields, found 3"),
-        ("sensor", "ablations.fields.variants.other: has the same values as the design itself"),
-    ):
-        with pytest.raises(StudyError) as error:
-            small(ablations=variant(fields))
-        assert words in str(error.value) and "\n" not in str(error.value)
-
-
-# ---- which jobs see them
-
-
-@pytest.fixture(scope="module")
-def jobs_before() -> dict:
-    return slices(tiny_study())
-
-
-@pytest.mark.parametrize(
-    "key, value, reads",
-    [
-        ("fields.design", "paper", {"design", "fine_tune"}),  # PSFs at the nine are stored in any case
-        ("fields.design", LIST, {"design", "psfs", "fine_tune"}),
-        ("fields.grading", LIST, {"psfs", "frames", "production", "psf_tail_table"}),  # others read the PSFs
-        ("fields.nine", True, {"fine_tune"}),
-    ],
-    ids=["paper", "own", "grading", "nine"],
-)  # fmt: skip
-def test_jobs_that_see_the_fields(jobs_before, key, value, reads):
-    """Of lenses by gradient alone if the losses change; sharp images have no fields."""
-    before, after = jobs_before, slices(changed(tiny_study(), key, value))
-    assert before.keys() == after.keys()
-    touched = {job for job in before if before[job] != after[job]} - {("report_page",)}
-    assert {job[0] for job in touched} == reads
-    assert not any(job[1:2] == ("sharp",) for job in touched)
-    assert key != "fields.design" or not any(job[0] == "design" and job[1].endswith("imaging2") for job in touched)
-
-
-def test_metrics_of_each_set():
-    """Designs for some fields are graded there, too; if the nine are all there is, not twice."""
-    default, paper = FieldSettings(), FieldSettings.model_validate("paper")
-    assert default.grading_sets(None) == {"accuracy": "grading", "corner_accuracy": "corner"}
-    assert default.grading_sets(PAPER)["accuracy_at_design_fields"] == "nine"
-    assert default.grading_sets(OWN)["accuracy_at_design_fields"] == "design" and default.sets(OWN)["design"] == (OWN,)
-    assert FieldSettings(nine=True).grading_sets(None)["accuracy_at_nine"] == "nine"
-    assert paper.grading_sets(PAPER) == {"accuracy": "grading", "corner_accuracy": "corner"}
-    for settings, design in itertools.product((default, paper, FieldSettings(nine=True)), (None, PAPER, OWN)):
-        assert {*settings.grading_sets(design).values()} <= {*settings.sets(design)}
-
-
-# ---- the paper's nine for both
-
-
-def test_the_papers_fields_are_those_of_the_specification():
-    """Bit for bit, in each step and in validation, whatever the seed."""
-    study = small(fields="paper")
-    plan = lens_design(study, "doublet-tasklens", 0)
-    assert plan.fields == plan.averaged == PAPER and study.fields.grading_points == PAPER
-    view = view_of_spec(study.spec)
-    posed = Problem(view, study.constraints, 0, fields=plan.fields)
-    for seed in (0, 7):
-        assert torch.equal(posed.view_of_step(seed).fields, view.fields)
-    (validated,) = posed.views_of_validation
-    assert torch.equal(validated.fields, view.fields)
-    assert lens_design(small(), "doublet-tasklens", 0).fields is None
-
-
 class Numbered(PsfCamera):
     """A camera that returns the number of the field of each image."""
 
@@ -238,48 +121,6 @@ def test_a_step_of_training_sees_one_draw():
     assert {*torch.cat(steps).tolist()} == {*range(72)}
 
 
-# ---- stored PSFs
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-
-
-def stored(study: Study, lens: str = "singlet-imaging1") -> tuple[Lens, Path]:
-    """Two random elements in place of a lens of the study, and the file of their PSFs."""
-    path = lens_file(study.name, lens)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    prescription.write(path, Prescription(lens_and_view()[0]), {})
-    return prescription.read(path)[0].lens, finish("psfs", study, lens=lens, seed=0).psf
-
-
-def test_stored_psfs_are_those_traced_at_their_fields(here):
-    """Of every set; the fields of training are draws by the seed."""
-    study = parse(changed(tiny_study(), "fields.design", LIST))
-    lens, path = stored(study)
-    view = view_of_spec(study.spec)
-    sets = {"selection": SELECTED, "grading": GRADED, "nine": PAPER, "corner": CORNER, "design": OWN}
-    for name, points in {**sets, "training": drawn_points(8, seed=0)}.items():
-        psf, illumination, turns = psf_files.read(path, name)
-        seen = view.at(points)
-        assert (psf - evaluation_psf(lens, seen, study.evaluation_rays)).abs().max() < 1e-6, name
-        assert (illumination == 1).all(), name  # there is no sensor
-        assert turns == {"training": 8, "selection": 4, "grading": 4}.get(name, 1)
-    assert not torch.equal(drawn_points(8, seed=0), drawn_points(8, seed=1))
-
-
-def test_psfs_of_the_papers_nine_are_stored_once(here):
-    study = parse(tiny_study() | {"fields": "paper"})
-    _, path = stored(study)
-    _, notes = read_tensors(path)
-    nine = {name: [0, 9, 1] for name in ("training", "selection", "grading", "nine")}
-    assert notes["sets"] == nine | {"corner": [9, 10, 1]} and len(notes["fields_mm"]) == 10
-    assert torch.equal(psf_files.read(path, "corner").psf[0], psf_files.read(path, "nine").psf[8])
-    with pytest.raises(FileError, match="has no PSFs of the fields of design"):
-        psf_files.read(path, "design")
-
-
 def test_a_quadrant_stands_for_the_others():
     """A field turned by 90 degrees has the turned PSF, up to the sampling of the pupil."""
     lens, view = published("doublet-tasklens"), view_of_spec(Spec()).at(OWN[1:3])
@@ -287,9 +128,6 @@ def test_a_quadrant_stands_for_the_others():
     psf, of_turned = (evaluation_psf(lens, part, 2**15) for part in (view, turned))
     assert float((of_turned - psf.rot90(-1, (-2, -1))).abs().sum((-2, -1)).max()) < 0.05
     assert float((of_turned - psf).abs().sum((-2, -1)).min()) > 0.3
-
-
-# ---- right at some fields, wrong between them
 
 
 def answers(*rates: float, count: int = 60, fields: int = 9, seed: int = 0) -> pandas.DataFrame:
@@ -351,9 +189,6 @@ def test_ranking_names_a_lens_fitted_to_the_nine_fields():
     assert (result.table.set_index("lens").loc["sharp", ["accuracy", "accuracy_at_nine"]] == 100).all()
 
 
-# ---- limits between the fields
-
-
 def test_a_limit_that_is_violated_between_the_nine_fields_is_repaired():
     """The distortion of a published doublet is largest between the radii of the nine; its new limits hold at all."""
     lens, view = published("doublet-imaging1"), view_of_spec(Spec())
@@ -374,9 +209,6 @@ def test_apertures_of_limits_pass_the_light_of_all_fields():
     radii_mm = limit_semi_diameters(lens, VIEW)
     for view in (VIEW, *(VIEW.at(drawn_points(1, seed)) for seed in range(5))):
         assert (radii_mm > clear_semi_diameters(lens, view, OUTLINE)).all()
-
-
-# ---- losses of designs
 
 
 @pytest.mark.parametrize(

@@ -1,35 +1,28 @@
-"""A finished study: files of its jobs, verification, its failures, and the page in a browser."""
+"""A finished study has its files, is verified, and has a page that works in a browser."""
 
-import contextlib
 import json
 import os
 import re
-from pathlib import Path
+from functools import partial
 
 import browser
 import pytest
 import torch
-import yaml
-from examples import read_rows, tiny_study
+from examples import read_rows
+from finished_study import STUDY, TINY, content_of, design_outputs, kept, make, measured_path, values
 from rules import finish, outputs
-from selenium.common.exceptions import TimeoutException
 from selenium.webdriver.common.by import By
-from selenium.webdriver.support.ui import WebDriverWait
 
 from tasklens.cli.app import main
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.runtime.job import user_error
-from tasklens.settings.names import split
 from tasklens.settings.starts import imaging_designs
 from tasklens.study import table_contents
 from tasklens.study.loading import parse
 from tasklens.study.report.page import assembly
 from tasklens.study.study import TABLES
-from tasklens.study.table_contents import verification
 
 pytestmark = pytest.mark.slow
-TINY = tiny_study() | {"name": "verified", "classifiers": {"small": tiny_study()["classifiers"]["small"]}}
-STUDY = parse(TINY)
 
 
 @pytest.fixture(scope="module")
@@ -40,43 +33,6 @@ def finished(tmp_path_factory):
         patch.chdir(folder)
         make()
         yield folder
-
-
-def make() -> None:
-    """Run all jobs in the order of their dependencies."""
-    finish("images", STUDY)
-    finish("reference", STUDY, classifier="small")
-    imaging = list(imaging_designs(STUDY.designs))
-    for name in (*imaging, *(name for name in STUDY.designs if name not in imaging)):
-        for rule in ("design", "psfs"):
-            finish(rule, STUDY, lens=f"singlet-{name}", seed=0)
-        if name in imaging:  # the end-to-end design starts from the best of these
-            finish("fine_tune", STUDY, lens=f"singlet-{name}", measured_name="small", seed=0)
-    for lens, name in verification(STUDY).measured:
-        if split(name)[1]:
-            finish("restore", STUDY, lens=lens, seed=0)
-        for rule in ("fine_tune", "reproduce"):
-            finish(rule, STUDY, lens=lens, measured_name=name, seed=0)
-    for name in TABLES:
-        finish("table", STUDY, table=name)
-    finish("verdicts_table", STUDY)
-    finish("psf_tail_table", STUDY)
-
-
-def measured_path(output: str, lens: str, measured_name: str = "small") -> Path:
-    return getattr(outputs("fine_tune", STUDY, lens=lens, measured_name=measured_name, seed=0), output)
-
-
-def values(path: Path, metric: str) -> list[float]:
-    return [float(row["value"]) for row in read_rows(path) if row["metric"] == metric]
-
-
-def design_outputs(name: str):
-    return outputs("design", STUDY, lens=f"singlet-{name}", seed=0)
-
-
-def content_of(name: str) -> dict:
-    return yaml.safe_load(design_outputs(name).lens.read_text())
 
 
 def test_every_design_leaves_a_readable_lens(finished):
@@ -126,8 +82,7 @@ def test_metrics_are_tidy(finished):
     through, sharp = measured_path("metrics", "singlet-imaging1"), measured_path("metrics", "sharp")
     counts = {"accuracy": 16, "psnr_db": 16, "worst_psnr_db": 16, "minival_accuracy": 9, "corner_accuracy": 1}
     assert {metric: len(values(through, metric)) for metric in counts} == counts
-    assert values(through, "chance") == [10.0]
-    assert len(values(sharp, "accuracy")) == 1 and values(sharp, "psnr_db") == []
+    assert (values(through, "chance"), values(sharp, "psnr_db"), len(values(sharp, "accuracy"))) == ([10.0], [], 1)
     restored = measured_path("metrics", "singlet-imaging1", "small-restored")
     assert values(restored, "psnr_db") != values(through, "psnr_db")
     for path, key in ((sharp, ("", "reference", "False")), (through, ("singlet", "imaging1", "False"))):
@@ -165,11 +120,9 @@ def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_
     printed = capsys.readouterr().out
     violated: dict[str, set] = {"failed": set(), "unconstrained": set()}
     for name in STUDY.designs:
-        margins = content_of(name)["margins"]
+        limits = [limit for limit, value in content_of(name)["margins"].items() if value < -1e-6]
         label = "unconstrained" if name == "end_to_end_from_flat" else "failed"
-        violated[label] |= {
-            f"{label}: singlet-{name} seed 0: {limit}" for limit, value in margins.items() if value < -1e-6
-        }
+        violated[label] |= {f"{label}: singlet-{name} seed 0: {limit}" for limit in limits}
     converging = [line for line in printed.splitlines() if "not converged" in line]
     failure = "failed: singlet-tasklens seed 0: not converged: a step within the limits"
     assert all(line.startswith(failure) for line in converging)
@@ -183,10 +136,7 @@ def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_
 @pytest.mark.parametrize("name", ["small", "small-restored"])
 def test_other_weights_do_not_reproduce(finished, capsys, name):
     """The stored head is rotated to other classes: the message counts the changed captures."""
-
-    def again() -> None:
-        finish("reproduce", STUDY, lens="singlet-imaging1", measured_name=name, seed=0)
-
+    again = partial(finish, "reproduce", STUDY, lens="singlet-imaging1", measured_name=name, seed=0)
     path = measured_path("weights", "singlet-imaging1", name)
     weights, notes = read_tensors(path)
     weights = {key: tensor.clone() for key, tensor in weights.items()}
@@ -216,25 +166,23 @@ def page(finished):
     """The page of the study."""
     for name in STUDY.designs:
         certificate = finish("certificate", STUDY, lens=f"singlet-{name}", seed=0).page.read_text()
-        assert certificate.startswith(f"# singlet-{name}, seed 0\n") and all(
-            text in certificate for text in ("## Manufacturability", "## Limits", "max slope")
-        )
+        assert certificate.startswith(f"# singlet-{name}, seed 0\n")
+        assert all(text in certificate for text in ("## Manufacturability", "## Limits", "max slope"))
     finish("captures", STUDY)
     finish("effort_table", STUDY)
     return finished / finish("report_page", STUDY).report
 
 
 def test_the_page_has_every_part(page):
-    """All tables, and drawings and files of every lens."""
+    """All tables; drawings and files of every lens; names of designs are explained, below the answer and on hover."""
     text = page.read_text()
     assert [name for name in (*TABLES, "verdicts", "psf_tail", "effort") if f'<table id="{name}">' not in text] == []
-    for name in STUDY.designs:
-        assert f'download="singlet-{name}.yaml"' in text and f'download="singlet-{name}.zmx"' in text
     assert "Optional tables, not computed: merit function, tolerances" in text
     curves = text.count("over the distance from the axis, in units of that of the corner")
     assert curves == len(table_contents.table(STUDY, "table1").lenses)
     assert (page.parent / "answer.svg").exists() and '<table id="claims">' in text
-    for name in STUDY.designs:  # the names of designs are explained, below the answer and on hover
+    for name in STUDY.designs:
+        assert f'download="singlet-{name}.yaml"' in text and f'download="singlet-{name}.zmx"' in text
         assert f"<dt>{name}</dt>" in text and re.search(rf'<td title="[^"]+"[^>]*>{name}</td>', text), name
     assert len(page.read_bytes()) < 15e6
 
@@ -243,14 +191,13 @@ def test_a_table_that_is_older_than_a_lens_says_so(page):
     """Tables of other targets are not made again with the page."""
     table = outputs("merit_function_table", STUDY).csv
     table.write_text("lens,score\nsinglet-tasklens,1.0\n")
-    lens = outputs("design", STUDY, lens="singlet-tasklens", seed=0).lens
-    before, warning = page.read_text(), "Older than these lenses, so maybe of earlier ones: "
-    for seconds, older in ((-1, True), (3600, False)):
-        os.utime(table, times=(0, lens.stat().st_mtime + seconds))
-        text = finish("report_page", STUDY).report.read_text()
-        assert (warning in text) == older and '<table id="merit_function">' in text
+    lens, warning = design_outputs("tasklens").lens, "Older than these lenses, so maybe of earlier ones: "
+    with kept(page):
+        for seconds, older in ((-1, True), (3600, False)):
+            os.utime(table, times=(0, lens.stat().st_mtime + seconds))
+            text = finish("report_page", STUDY).report.read_text()
+            assert (warning in text) == older and '<table id="merit_function">' in text
     table.unlink()
-    page.write_text(before)
 
 
 def test_a_page_that_is_too_large_is_refused(page, monkeypatch):
@@ -269,11 +216,7 @@ def opened(page, tmp_path_factory):
     with browser.browser(tmp_path_factory.mktemp("profile")) as driver:
         browser.window(driver, 1280, 900)
         driver.get(page.as_uri())
-        charts = driver.find_elements(By.CLASS_NAME, "chart")
-        for chart in charts:
-            driver.execute_script("arguments[0].scrollIntoView({behavior: 'instant'})", chart)
-            WebDriverWait(driver, 10).until(lambda _, own=chart: own.find_elements(By.CSS_SELECTOR, "svg.main-svg"))
-        assert len(charts) >= 4
+        assert browser.draw_charts(driver) >= 4
         yield driver
 
 
@@ -291,20 +234,13 @@ def test_every_picture_has_loaded_and_says_what_it_shows(opened):
     by_radius = len(table_contents.table(STUDY, "table1").lenses)
     assert len(images) == 1 + len(captures) + of_lenses + by_radius >= 30
     assert all(loaded and len(words) > 10 for loaded, words in images)
-    charts = opened.find_elements(By.CLASS_NAME, "chart")
-    assert all(len(chart.get_attribute("aria-label")) > 40 for chart in charts)
+    assert all(len(chart.get_attribute("aria-label")) > 40 for chart in opened.find_elements(By.CLASS_NAME, "chart"))
 
 
 def test_a_table_is_sorted_by_a_click(opened):
     headings = opened.find_elements(By.CSS_SELECTOR, "#table1 th")
     column = next(k for k, head in enumerate(headings) if head.text.startswith("RMS spot"))
-    script = f"return [...document.querySelectorAll('#table1 tbody tr')].map(row => row.cells[{column}].textContent)"
-
-    def values() -> list[float | None]:
-        """Numbers of the column, None for gaps."""
-        texts = [text.replace("★", "").strip() for text in opened.execute_script(script)]
-        return [None if text == "–" else float(text) for text in texts]
-
+    values = partial(browser.numbers, opened, "table1", column)
     heading, gaps = headings[column], [value for value in values() if value is None]
     numbers = sorted(value for value in values() if value is not None)
     assert heading.get_attribute("aria-sort") == "none" and gaps and len(set(numbers)) > 2
@@ -313,37 +249,22 @@ def test_a_table_is_sorted_by_a_click(opened):
         heading.find_element(By.TAG_NAME, "button").click()
         assert heading.get_attribute("aria-sort") == order
         assert values() == (numbers if order == "ascending" else numbers[::-1]) + gaps
-    others = opened.find_elements(By.CSS_SELECTOR, "#table1 th:not([aria-sort='none'])")
-    assert others == [heading]
+    assert opened.find_elements(By.CSS_SELECTOR, "#table1 th:not([aria-sort='none'])") == [heading]
 
 
 def test_a_filter_hides_other_lenses(opened):
     field = opened.find_element(By.CSS_SELECTOR, "#lenses input")
     script = "return [...document.querySelectorAll('#lenses .lens')].filter(e => !e.hidden).map(e => e.dataset.name)"
     assert len(opened.execute_script(script)) == 6
-    opened.execute_script(
-        "arguments[0].value = 'singlet imaging'; arguments[0].dispatchEvent(new Event('input'))", field
-    )
+    browser.write(opened, field, "singlet imaging")
     assert opened.execute_script(script) == ["singlet-imaging1", "singlet-imaging2", "singlet-end_to_end_from_imaging"]
-    opened.execute_script("arguments[0].value = ''; arguments[0].dispatchEvent(new Event('input'))", field)
+    browser.write(opened, field, "")
 
 
 def test_dark_mode_changes_page_and_charts(opened):
-    colours = (
-        "return [getComputedStyle(document.body).backgroundColor,"
-        " getComputedStyle(document.querySelector('.chart text')).fill]"
-    )
-    by_scheme = {}
-    for scheme in ("light", "dark"):
-        browser.colour_scheme(opened, scheme)
-        by_scheme[scheme] = opened.execute_async_script(
-            f"const done = arguments[0]; setTimeout(() => done((() => {{ {colours} }})()), 500)"
-        )
-    brightness = {
-        scheme: [sum(map(int, re.findall(r"\d+", c)[:3])) for c in fills] for scheme, fills in by_scheme.items()
-    }
-    assert brightness["light"][0] > 600 > 200 > brightness["dark"][0]  # of 765
-    assert brightness["light"][1] < 200 < 600 < brightness["dark"][1]
+    (light_page, dark_text), (dark_page, light_text) = (browser.brightness(opened, s) for s in ("light", "dark"))
+    assert light_page > 600 > 200 > dark_page  # of 765
+    assert dark_text < 200 < 600 < light_text
 
 
 @pytest.mark.parametrize("width", [390, 1280])
@@ -351,10 +272,7 @@ def test_nothing_is_wider_than_the_screen(opened, width):
     """With all parts open; wide tables scroll in their own frames. A phone would zoom out if something were wider."""
     browser.window(opened, width, 844)
     opened.execute_script("for (const part of document.querySelectorAll('details')) part.open = true")
-    widths = "return [innerWidth, document.documentElement.scrollWidth]"
-    with contextlib.suppress(TimeoutException):  # charts follow the width with a delay
-        WebDriverWait(opened, 5).until(lambda _: opened.execute_script(widths) == [width, width])
-    assert opened.execute_script(widths) == [width, width]
+    assert browser.widths(opened, width) == [width, width]
 
 
 @pytest.mark.parametrize("table", TABLES)
@@ -368,21 +286,14 @@ def test_tables_with_the_papers_columns_fit_a_laptop(opened, table):
 @pytest.mark.parametrize("name", ["table3", "table4"])
 def test_a_study_without_table_1_has_its_answer(page, name):
     """The figure is of the first table that the study has."""
-    before, figure = page.read_text(), (page.parent / "answer.svg").read_text()
-    one = STUDY.model_copy(update={"tables": (name,)})
-    paths = finish("report_page", one)
-    assert "singlet" in paths.answer.read_text() and '<table id="claims">' in paths.report.read_text()
-    page.write_text(before)
-    (page.parent / "answer.svg").write_text(figure)
+    with kept(page, page.parent / "answer.svg"):
+        paths = finish("report_page", STUDY.model_copy(update={"tables": (name,)}))
+        assert "singlet" in paths.answer.read_text() and '<table id="claims">' in paths.report.read_text()
 
 
 def test_half_a_table_of_tails_is_named(page):
     """Missing rows are found, too."""
     path = outputs("psf_tail_table", STUDY).csv
-    text = path.read_text()
-    path.write_text("".join(text.splitlines(keepends=True)[:3]))
-    try:
-        with pytest.raises(FileError, match=r"psf_tail\.csv: without .*; delete it and run again"):
-            finish("report_page", STUDY)
-    finally:
-        path.write_text(text)
+    with kept(path), pytest.raises(FileError, match=r"psf_tail\.csv: without .*; delete it and run again"):
+        path.write_text("".join(path.read_text().splitlines(keepends=True)[:3]))
+        finish("report_page", STUDY)

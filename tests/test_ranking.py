@@ -1,4 +1,4 @@
-"""Ranking lenses for a network: screening, the command with its page, and Python."""
+"""Lenses are ranked for a network by a command, which screens them for a sensor and writes a page."""
 
 import subprocess
 import sys
@@ -12,6 +12,7 @@ import torch
 import yaml
 from examples import measurement, random_images, write_photographs
 from safetensors.torch import load_file
+from typed_lenses import singlet
 
 import tasklens
 from tasklens.cli.app import main
@@ -28,14 +29,6 @@ from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
 from tasklens.study.run import ranking_run as pipeline
 from tasklens.study.run import screening
-
-TYPED = {"field_of_view_deg": 30, "f_number": 4, "pixel_pitch_um": 4.0, "kernel_size": 15}
-
-
-def singlet(front: float = 1.6, **changes) -> tuple:
-    """A lens of one element; typed without a last thickness, it is in focus."""
-    surfaces = [{"radius": front, "thickness": 0.7, "material": "COC", "stop": True}, {"radius": -4.0}]
-    return tasklens.lens(surfaces, **(TYPED | changes))
 
 
 @pytest.mark.parametrize("scaled", [True, False])
@@ -123,20 +116,9 @@ def test_built_lenses_and_a_sieve(here, capfd, monkeypatch):
     """The two lenses of the highest MTF are measured, and the first one is built in simulation."""
     study_of, few = pipeline.study, {"tolerances": {"lenses": 10, "images": 10}}
     monkeypatch.setattr(pipeline, "study", lambda *arguments: study_of(*arguments) | few)
-    options = (
-        "--sieve",
-        "3",
-        "--as-built",
-        "1",
-        "--name",
-        "built",
-        "--full-well",
-        "500",
-        "--scale",
-        "--object-distance",
-        "100",
-    )
-    assert main([*COMMAND, *SENSOR, *options]) == 0
+    options = ("--sieve", "3", "--as-built", "1", "--name", "built")
+    sensor = ("--full-well", "500", "--scale", "--object-distance", "100")
+    assert main([*COMMAND, *SENSOR, *options, *sensor]) == 0
     output = capfd.readouterr().out
     table = pandas.read_csv("results/built/tables/ranking.csv")
     assert len(table) == 3 and table["built_lose"].notna().tolist() == [True, False, False]
@@ -220,40 +202,6 @@ def test_ranking_in_python_agrees_with_the_command(here):
         tasklens.rank(lenses, [pairs[0], 3], network)
 
 
-def test_outputs_of_imagenet_in_python():
-    """As in the command: classes by their WordNet ids, alone or among all; an unknown word and other outputs fail."""
-    names = ("n01440764", "n01514668", "n02102040")  # in ImageNet's order 0, 7 and 217
-
-    class Photographs(list):
-        classes = names
-
-    def answers(other: float):
-        """Logits of brightness for these classes, and one for another class."""
-
-        def logits(images):
-            values = torch.full((len(images), 1000), -9.0)
-            values[:, [0, 7, 217]] = -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square()
-            values[:, 500] = other
-            return values
-
-        return Answers(logits)
-
-    data = Photographs([(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10)
-    lenses, options = {"mine": singlet()}, {"rays": 64}
-    for other, outputs in ((1.0, "imagenet"), (-9.0, "all_imagenet")):
-        assert tasklens.rank(lenses, data, answers(other), outputs=outputs, **options).sharp == 100
-    for outputs in ("classes", "all_imagenet"):
-        with pytest.raises(InputError, match="no better than guessing"):
-            tasklens.rank(lenses, data, answers(1.0), outputs=outputs, **options)
-    with pytest.raises(InputError, match="outputs: expected classes, imagenet, all_imagenet, got 'all'"):
-        tasklens.rank(lenses, data, answers(1.0), outputs="all", **options)
-    with pytest.raises(InputError, match="expected logits of the 1000 classes of ImageNet"):
-        tasklens.rank(lenses, data, Answers(lambda images: images.mean((2, 3))), outputs="imagenet", **options)
-    data.classes = ("cat", "dog", "owl")
-    with pytest.raises(FileError, match="expected folders named by WordNet ids"):
-        tasklens.rank(lenses, data, answers(1.0), outputs="imagenet", **options)
-
-
 def test_lenses_are_screened_for_a_sensor(here, capsys):
     """Lenses keep size and F-number; with `scaled`, a narrow lens is enlarged until its field fills the sensor."""
     paths = screening.lens_paths([here / "lenses"])
@@ -301,40 +249,6 @@ def test_a_fifth_of_a_folder_is_tested_if_the_network_is_trained(tmp_path):
         pipeline.image_settings(tmp_path / "few", 32, 500, True, False)
 
 
-class Answers(torch.nn.Module):
-    """A network that returns what a function makes of the images."""
-
-    def __init__(self, function):
-        super().__init__()
-        self.function = function
-
-    def forward(self, images: torch.Tensor):
-        return self.function(images)
-
-
-@pytest.mark.parametrize(
-    "network, words",
-    [
-        (Answers(lambda images: (images.mean((2, 3)), None)), "returns a tuple; expected a tensor of logits"),
-        (torch.mean, "expected a torch.nn.Module, got builtin"),
-        (Answers(lambda images: images.tolist().index(3)), "fails for images"),
-        (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(7, 2)), r"fails for images \(3, 32, 32\): .*mat1"),
-        (torch.nn.Sequential(torch.nn.Conv2d(3, 2, 3), torch.nn.BatchNorm2d(5)), r"fails for images \(3, 32, 32\): "),
-        (Answers(lambda images: torch.nan * images.mean((2, 3))), "logits that are not finite"),
-    ],
-)
-def test_a_network_that_returns_no_logits_ranks_nothing(network, words):
-    pairs = [(torch.rand(3, 32, 32), k) for k in (0, 1)]
-    with pytest.raises(InputError, match=words):
-        tasklens.rank({"mine": singlet()}, pairs, network)
-
-
-def test_names_of_lenses_are_text_on_a_page():
-    pairs = [(torch.rand(3, 32, 32), k) for k in (0, 1)]
-    network = Answers(lambda images: images.mean((2, 3)))
-    assert "<b>a&b" not in tasklens.rank({"<b>a&b": singlet()}, pairs, network, rays=64)._repr_html_()
-
-
 def test_a_field_beyond_the_sensor_is_named(capsys):
     """A lens of a larger sensor is measured on the part of its field that the sensor sees."""
     path = Path(__file__).parents[1] / "config" / "lenses" / "phone_3p.yaml"
@@ -373,13 +287,3 @@ def test_a_wrong_name_is_refused_before_lenses_are_read(here, capsys, monkeypatc
     assert "name = 'My-Lenses'" in capsys.readouterr().err.splitlines()[-1]
     with pytest.raises(AssertionError, match="lenses are read"):
         main([*COMMAND, *SENSOR])
-
-
-def test_a_printed_ranking_is_its_table():
-    pairs = [(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10
-    brightness = Answers(lambda images: -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square())
-    result = tasklens.rank({"mine": singlet(), "fast": singlet(f_number=2.8)}, pairs, brightness, rays=64)
-    for text in (str(result), repr(result)):
-        heading, *rows = text.splitlines()
-        assert "accuracy [%]" in heading and {row.split()[0] for row in rows} <= {"mine", "fast", "1"}
-        assert len(rows) == 2 and "svg" not in text

@@ -1,8 +1,7 @@
-"""The structure of the code: allowed imports, modules without torch, and what a digest of code covers."""
+"""The structure of the code: imports run downward, light parts need no torch, and no module or function is long."""
 
 import ast
 import re
-import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -10,12 +9,10 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
-from rules import rule_names, workflow
+from our_modules import MODULES, ROOT, name_of
+from rules import workflow
 
 from tasklens.study.run import digest
-
-ROOT = Path(__file__).parents[1]
-MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglob("*.py"))
 
 # From the ground up: a module imports only from its own room (its package) and from the floors below. A package's
 # own modules belong to its entry, the modules of a subpackage to the entry of the subpackage.
@@ -39,10 +36,6 @@ FLOORS = [
     ("tasklens.study.run",),
     ("tasklens.cli",),
 ]
-
-
-def name_of(path: Path) -> str:
-    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
 def room_of(module: str) -> tuple[int, str]:
@@ -182,142 +175,6 @@ def test_no_test_module_is_imported_by_another():
     assert imports == []
 
 
-# ---- digests of code
-
-
-FUNCTIONS = {name: workflow().get_rule(name).params.function for name in rule_names()}
-
-
-def test_what_a_job_takes_of_the_settings_is_classes():
-    """Digests omit this package: a job gets the values from its rule, and uses no constant of the settings."""
-    modules = (digest.reached_modules(function.rpartition(".")[0]) for function in FUNCTIONS.values())
-    for module in set().union(*modules):
-        for node in ast.walk(digest.parse(module)):
-            if (
-                isinstance(node, ast.ImportFrom)
-                and (node.module or "").count(".") > 1
-                and digest.is_settings(node.module)
-            ):
-                constants = [alias.name for alias in node.names if alias.name.isupper() or alias.name.islower()]
-                assert node.module == "tasklens.settings.names" or not constants, f"{module}: {ast.unparse(node)}"
-
-
-def test_digests_cover_all_but_the_settings():
-    """A digest covers all that the module of a job imports, lazily or not."""
-    for function in FUNCTIONS.values():
-        first = function.rpartition(".")[0]
-        waiting, reached = [first], set()
-        while waiting:
-            module = waiting.pop()
-            if module not in reached and not digest.is_settings(module):
-                reached.add(module)
-                path = ROOT.joinpath(*module.split("."))
-                path = path / "__init__.py" if path.is_dir() else path.with_suffix(".py")
-                waiting += modules_named_in(path.read_text())
-        assert digest.reached_modules(first) == reached
-
-
-def modules_named_in(code: str) -> list[str]:
-    """Our modules in the import statements of some code, found with a regular expression."""
-    statement = r"^ *from ((?:tasklens|restoration)[\w.]*) import (?:\(([^)]*)\)|([^#(\n]*))"
-    names = []
-    for module, many, one in re.findall(statement, code, re.MULTILINE):
-        names += [module, *(f"{module}.{word.split()[0]}" for word in (many or one).split(",") if word.strip())]
-    modules = {name_of(path) for path in MODULES}
-    return [name for name in names if name in modules]
-
-
-TASKS = {"task_reference", "task_fine_tune"}
-READ_IMAGES = {
-    "images",
-    "reference",
-    "design",
-    "restore",
-    "fine_tune",
-    "reproduce",
-    "production",
-    "captures",
-    "frames",
-    "scenes",
-    *TASKS,
-}
-JUDGE = {"verdicts_table", "ablation", "report_page"}
-RESAMPLED = JUDGE | {"ranking_table", "tolerances_table"}
-TABLES = {f"{name}_table" for name in ("psf_tail", "effort", "merit_function", "ranking", "tolerances", "tasks")}
-TABLES |= {"table", "certificate", "production"}
-FIGURES = {"certificate", "comparison", "drawing", "frames", "ranking_table", "tasks_table"}
-MEASUREMENTS = {"table", "verify", "comparison", "frames", "merit_function_table", "tolerances_table", *JUDGE}
-PSFS = {"design", "psfs"}
-OPTICS = {*PSFS, "psf_tail_table", "production", *FIGURES}
-SEE = {"restore", "fine_tune", "reproduce", "captures"}
-RENDER = {"design", "frames", "production", "merit_function_table", *SEE, *TASKS}
-
-
-MODULES_OF = {
-    "tasklens.optics.psf": OPTICS,
-    "tasklens.camera.imaging": RENDER,
-    "tasklens.recognition.scenes": READ_IMAGES,
-    "tasklens.design.constraints": {"design"},
-    "tasklens.study.report.measurements": MEASUREMENTS,
-    "tasklens.show.publish": TABLES | JUDGE | {"sweep_table"},
-    "restoration.nafnet": SEE,
-    "tasklens.study.jobs.design_lens": {"design"},
-    "tasklens.optics.analysis.diffraction": OPTICS,
-    "tasklens.study.jobs.classify": SEE - {"restore", "captures"},
-    "tasklens.optics.analysis.tail": {"psf_tail_table", *FIGURES},
-    "tasklens.show.figures": FIGURES,
-    "tasklens.study.report.page.words": {"report_page"},
-    "tasklens.show.bootstrap": RESAMPLED,
-}
-
-
-@pytest.mark.parametrize("module, rules", MODULES_OF.items(), ids=MODULES_OF)
-def test_only_these_jobs_run_a_module(module, rules):
-    """A job whose code reaches a module without need runs again after its changes."""
-    reached = {rule: digest.reached_modules(function.rpartition(".")[0]) for rule, function in FUNCTIONS.items()}
-    assert {rule for rule in FUNCTIONS if module in reached[rule]} == rules
-
-
-EDITS = [  # file, old, new, rules whose digests change
-    ("tasklens/study/report/tables.py", "ddof=1", "ddof=0", {"table"}),
-    ("restoration/nafnet_training.py", "_WARMUP = 0.05", "_WARMUP = 0.1", {"restore"}),
-    ("tasklens/show/page.css", "{", "{color: red;", {"report_page", "ranking_table"}),
-    ("tasklens/settings/specification.py", "Field(68.8,", "Field(68.9,", set()),  # it is in the settings of a job
-    ("tasklens/settings/names.py", '"-restored"', '"-mended"', set()),  # it is in the settings, too
-    ("tasklens/optics/psf.py", '"""Point spread', '"""Another docstring: point spread', set()),
-    ("tasklens/optics/psf.py", "# The indices of far rays", "# Where the rays are far, indices", set()),
-    ("tasklens/optics/psf.py", "import torch\n", "\n\nimport torch\n", set()),
-    ("tasklens/study/jobs/design_lens.py", '"""Write the prescription', '"""Write a prescription', set()),
-]
-
-
-def test_code_changes_the_digests_of_the_jobs_that_run_it(tmp_path, monkeypatch):
-    """Comments, docstrings, blank lines and settings rerun nothing."""
-
-    def digests() -> dict[str, str]:
-        for cached in (digest.parse, digest.code_and_imports, digest.code_digest):
-            cached.cache_clear()
-        return {name: digest.code_digest(function) for name, function in FUNCTIONS.items()}
-
-    before = digests()
-    for package in digest.PACKAGES:
-        shutil.copytree(ROOT / package, tmp_path / package, ignore=shutil.ignore_patterns("__pycache__"))
-    for path, old, new, _ in EDITS:
-        text = (tmp_path / path).read_text()
-        assert old in text
-        (tmp_path / path).write_text(text.replace(old, new, 1))
-    with monkeypatch.context() as patch:
-        patch.setattr(digest, "ROOT", tmp_path)
-        after = digests()
-    assert {rule for rule in FUNCTIONS if after[rule] != before[rule]} == set().union(*(rules for *_, rules in EDITS))
-    assert digests() == before  # the caches are those of our code again
-
-
-def test_an_unknown_module_raises():
-    with pytest.raises(ValueError, match="bake"):
-        digest.code_digest("tasklens.study.jobs.bake.run")
-
-
 def test_functions_are_short():
     """None has more than 12 parameters or 80 lines."""
     for path in MODULES:
@@ -335,6 +192,7 @@ IMPORT = re.compile(r"^from (\w[\w.]*) import ([\w ,]+)$", re.M)
 @pytest.mark.parametrize("path", [ROOT / "Snakefile", *sorted(ROOT.glob("workflow/rules/*.smk"))], ids=lambda p: p.name)
 def test_names_in_rules_exist(path):
     """Of our modules: a handler that runs after the plan fails too late."""
+    workflow()  # imports what the rules name
     text = path.read_text()
     common = "".join(file.read_text() for file in (ROOT / "Snakefile", ROOT / "workflow/rules/common.smk"))
     for package, names in IMPORT.findall(common + text):

@@ -1,4 +1,4 @@
-"""Claims that a study can decide, and verdicts from known predictions."""
+"""Verdicts on claims follow from the predictions that a study measured."""
 
 import math
 
@@ -6,34 +6,18 @@ import numpy
 import pandas
 import pytest
 import yaml
-from examples import changed, measurement, measurements_of, tiny_study
+from examples import measurement, measurements_of
 from rules import finish
-from study_results import FIELDS, IMAGES, write_results
+from study_results import DOUBLET, FIELDS, IMAGES, study_of, write_results
 
 from tasklens.runtime.files import FileError
 from tasklens.show.bootstrap import holm
-from tasklens.study import claims, table_contents
-from tasklens.study.claims import (
-    FEWER_ELEMENTS,
-    FLAT_FAILS,
-    OVER_END_TO_END,
-    OVER_IMAGE_QUALITY,
-    OVER_IMAGING1,
-    OVER_LEAST_SQUARES,
-)
+from tasklens.study import claims
+from tasklens.study.claims import FEWER_ELEMENTS, OVER_END_TO_END, OVER_IMAGE_QUALITY, OVER_IMAGING1, OVER_LEAST_SQUARES
 from tasklens.study.loading import dump, parse
 from tasklens.study.report import answers_file, verdicts
 from tasklens.study.report.measurements import Measurements
 from tasklens.study.report.verdicts import FAILS, HOLDS, UNDECIDED
-
-DOUBLET = ["COC", "OKP4"]
-
-
-def study_of(seeds: int, **elements):
-    plastics = elements or {"doublet": DOUBLET, "triplet": [*DOUBLET, "COC"]}
-    designs = tiny_study()["designs"] | {"imaging3": tiny_study()["designs"]["imaging2"]}
-    study = tiny_study() | {"elements": plastics, "designs": designs}
-    return parse(changed(study, "seeds", list(range(seeds))))
 
 
 @pytest.fixture(autouse=True)
@@ -80,71 +64,6 @@ def collect(study) -> pandas.DataFrame:
 
 def by_design(**accuracies):
     return lambda lens, name, seed: accuracies.get(lens.partition("-")[2] or lens, 0.5)
-
-
-# ---- which claims
-
-
-def test_claims_of_each_table():
-    """Tables 1 and 4 of the supervisor, 2 of the other classifiers, table 3 about end-to-end design."""
-    job = claims.claims(study_of(1))
-    by_claim = {(c.table, c.text, c.lens, c.classifier): c.baselines for c in job.claims}
-    assert len(by_claim) == len(job.claims)
-    squares = ("doublet-imaging2", "doublet-imaging3")
-    triplets = ("triplet-image_error", *(f"triplet-imaging{k}" for k in (1, 2, 3)))
-    for table, classifier in (("table1", "small"), ("table2", "other"), ("table4", "small-restored")):
-        mine = {key[1:]: baselines for key, baselines in by_claim.items() if key[0] == table}
-        assert len(mine) == 7 and (FEWER_ELEMENTS, "triplet-tasklens", classifier) not in mine
-        assert mine[OVER_IMAGING1, "doublet-tasklens", classifier] == ("doublet-imaging1",)
-        assert mine[OVER_LEAST_SQUARES, "doublet-tasklens", classifier] == squares
-        assert mine[OVER_IMAGE_QUALITY, "doublet-tasklens", classifier] == ("doublet-image_error",)
-        assert mine[FEWER_ELEMENTS, "doublet-tasklens", classifier] == triplets
-    assert {key[1:]: baselines for key, baselines in by_claim.items() if key[0] == "table3"} == {
-        (OVER_END_TO_END, "doublet-tasklens", "small"): ("doublet-end_to_end_from_imaging",),
-        (FLAT_FAILS, "doublet-end_to_end_from_flat", "small"): (),
-        (OVER_END_TO_END, "triplet-tasklens", "small"): ("triplet-end_to_end_from_imaging",),
-        (FLAT_FAILS, "triplet-end_to_end_from_flat", "small"): (),
-    }
-    alone = claims.claims(parse(yaml.safe_load(dump(study_of(1))) | {"tables": ["table2"]})).claims
-    assert {c.classifier for c in alone} == {"small", "other"}  # if no table 1 has the supervisor's claims
-
-
-def test_claims_after_restoration_are_about_what_is_restored():
-    """Table 4 compares doublets with doublets only; the claims of other tables stay."""
-    study = study_of(1)
-    only = parse(yaml.safe_load(dump(study)) | {"restored": ["doublet"]})
-    assert {lens.partition("-")[0] for lens in table_contents.table(only, "table4").lenses} == {"doublet"}
-    doublet_claims, all_claims = claims.claims(only).claims, claims.claims(study).claims
-    assert [c for c in doublet_claims if c.table != "table4"] == [c for c in all_claims if c.table != "table4"]
-    restored = [c for c in doublet_claims if c.table == "table4"]
-    assert {c.text for c in restored} == {OVER_IMAGING1, OVER_LEAST_SQUARES, OVER_IMAGE_QUALITY}
-    assert {name.partition("-")[0] for c in restored for name in (c.lens, *c.baselines)} == {"doublet"}
-
-
-def test_fewer_elements_are_judged_between_neighbours_in_the_study():
-    """Without a triplet, a doublet is compared with quadruplets; other plastics are not another number of elements."""
-    others = {"other": DOUBLET[::-1], "quadruplet": 2 * DOUBLET, "singlet": ["COC"]}
-    job = claims.claims(study_of(1, doublet=DOUBLET, **others))
-    baselines = {c.lens: {r.partition("-")[0] for r in c.baselines} for c in job.claims if c.text == FEWER_ELEMENTS}
-    assert baselines == {
-        "singlet-tasklens": {"doublet", "other"},
-        "doublet-tasklens": {"quadruplet"},
-        "other-tasklens": {"quadruplet"},
-    }
-
-
-def test_claims_about_absent_lenses_are_left_out():
-    """A study without task-driven or end-to-end lenses has no claim, and its file says so."""
-    designs = {name: design for name, design in tiny_study()["designs"].items() if name.startswith("imaging")}
-    study = parse(tiny_study() | {"designs": designs})
-    job = claims.claims(study)
-    assert job.claims == ()
-    paths = finish("verdicts_table", study)
-    assert list(pandas.read_csv(paths.csv)) == verdicts.COLUMNS
-    assert "Study `tiny` has no lenses that the paper's claims are about" in paths.md.read_text()
-
-
-# ---- their verdicts
 
 
 @pytest.mark.parametrize(
@@ -244,7 +163,7 @@ def test_convergence_is_judged_by_the_rule_of_table_3(accuracy, inside, expected
     """Sharp images 100 %, chance 10 %: half-way is 55 %. The light misses its half by 50 % minus the light inside."""
     accuracies = by_design(sharp=1.0, end_to_end_from_flat=accuracy)
     row = verdicts_of(study_of(5, doublet=DOUBLET), accuracies, inside=inside)
-    row = row.loc["table3", FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
+    row = row.loc["table3", claims.FLAT_FAILS, "doublet-end_to_end_from_flat", "small"]
     assert row["verdict"] == expected and row["baseline"] == ""
     assert row["difference"] == pytest.approx(difference, abs=3)
 
@@ -285,9 +204,6 @@ def test_files_of_the_verdicts_agree():
     assert rows["difference"].tolist() == pytest.approx(expected["difference"].tolist())
 
 
-# ---- at other fields
-
-
 def with_fields(study, lens, name, right, seed: int = 0) -> None:
     """Add columns of answers at a set of fields to the predictions of a lens, correct for a fraction of the images."""
     path = measurement(study.name, lens, "small", seed, "-predictions")
@@ -311,7 +227,7 @@ def test_differences_at_the_nine_fields_stand_beside_those_of_the_grading(tmp_pa
     row = rows.set_index("claim").loc[OVER_IMAGING1]
     assert row["difference"] == pytest.approx(10, abs=3) and row["difference_at_nine"] == pytest.approx(30)
     assert row["low_at_nine"] < 30 < row["high_at_nine"]
-    assert rows.set_index("claim").loc[FLAT_FAILS, verdicts.AT_NINE].isna().all()
+    assert rows.set_index("claim").loc[claims.FLAT_FAILS, verdicts.AT_NINE].isna().all()
     answers_file.write(tmp_path / "verdicts.npz", own, measurements_of(study.name, own))
     pandas.testing.assert_frame_equal(verdicts.collect(*answers_file.read(tmp_path / "verdicts.npz")), rows)
     assert "at nine fields" in finish("verdicts_table", study).md.read_text()
@@ -329,19 +245,3 @@ def test_a_lens_fitted_to_the_fields_of_its_design_is_named(fields):
     text = finish("verdicts_table", study).md.read_text()
     words = "doublet-tasklens, small, seed 0 is fitted to the fields of its design: 90.0 % there, "
     assert words in text and text.count("is fitted to") == 1
-
-
-# ---- where it pays
-
-
-def test_lenses_of_other_specifications_are_no_baselines():
-    """A faster triplet is no baseline with more elements for a doublet; in the map, each has its own elements."""
-    study = study_of(1, doublet=DOUBLET, triplet_f2=[*DOUBLET, "COC"])
-    assert any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(study).claims)
-    faster = study.model_copy(update={"specs": {"triplet_f2": {"f_number": 2.0}}})
-    assert not any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(faster).claims)
-    baselines = {claim.lens: claim.baselines for claim in claims.imaging_claims(faster).claims}
-    assert baselines == {
-        f"{name}-tasklens": (f"{name}-image_error", *(f"{name}-imaging{k}" for k in (1, 2, 3)))
-        for name in ("doublet", "triplet_f2")
-    }
