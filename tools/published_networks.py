@@ -1,4 +1,4 @@
-"""Published networks that timm does not build by name, with ImageNet's thousand outputs: functions for `model` in a study.
+"""Published networks that timm does not build by name, of ImageNet's thousand classes: functions for `model` in a study.
 
 Their weights are converted by `python tools/convert_networks.py`.
 """
