@@ -150,6 +150,11 @@ def random_images(count: int, size: int, classes: int, seed: int) -> ImageDatase
     return ImageDataset((noise + bright).byte(), labels, tuple(f"class{k}" for k in range(classes)))
 
 
+def random_image(shape: tuple[int, int], seed: int) -> Tensor:
+    """An image (3, H, W) of random colours from 0 to 1."""
+    return torch.rand(3, *shape, generator=torch.Generator().manual_seed(seed))
+
+
 def write_photographs(folder: Path, images: ImageDataset, classes: tuple[str, ...]) -> None:
     """Write images as folder/<class>/<number>.png."""
     for k, (image, label) in enumerate(zip(images.images, images.labels.tolist(), strict=True)):

@@ -2,6 +2,7 @@
 
 import os
 import unicodedata
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -10,15 +11,14 @@ from examples import write
 from PIL import Image
 
 from tasklens.recognition import class_folders, dataset, folders, photographs
-from tasklens.recognition.photographs import unused_images
 from tasklens.runtime.files import FileError
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.names import SPLITS
 from tasklens.study.run import ranking_run
 
 
-def images(folder, minival: int = 3) -> ImageSettings:
-    return ImageSettings(size=16, minival=minival, folder=folder)
+def images(folder, minival: int = 3, **counts) -> ImageSettings:
+    return ImageSettings(size=16, minival=minival, folder=folder, **counts)
 
 
 def save_photographs(folder: Path, **counts: int) -> None:
@@ -91,23 +91,16 @@ def test_splits_without_images_of_two_classes_are_refused(tmp_path, files, words
 
 def test_a_large_folder_is_not_listed(folder, monkeypatch):
     """Of 400 files, only one per class and those for the minival are looked at; a million files cost nothing more."""
-    for k in range(200):
-        for name in ("cat", "dog"):
-            write(folder / f"train/{name}/{k}.jpg", "")
-    seen = []
+    for k in range(400):
+        write(folder / f"train/{('cat', 'dog')[k % 2]}/{k}.jpg", "")
+    seen, scandir = [], os.scandir
 
-    class Counted:
-        def __init__(self, entries):
-            self.entries = entries
+    @contextmanager
+    def counted(path):
+        with scandir(path) as entries:
+            yield (seen.append(entry.name) or entry for entry in entries)
 
-        def __enter__(self):
-            return (seen.append(entry.name) or entry for entry in self.entries)
-
-        def __exit__(self, *error):
-            self.entries.close()
-
-    scandir = os.scandir
-    monkeypatch.setattr(class_folders.os, "scandir", lambda path: Counted(scandir(path)))
+    monkeypatch.setattr(class_folders.os, "scandir", counted)
     class_folders.check(images(folder, minival=20))
     assert 21 <= sum(name.endswith(".jpg") for name in seen) < 60
 
@@ -122,8 +115,7 @@ def test_a_large_folder_is_not_listed(folder, monkeypatch):
 def test_splits_in_any_case_and_spelling(folder, names):
     """For every door: a study, a ranking, a design with its verdict, and the forecast; also with a word behind."""
     for old, new in zip(("train", "test"), names, strict=True):
-        (folder / old).rename(folder / "renamed")
-        (folder / "renamed").rename(folder / new)
+        (folder / old).rename(folder / new)
     class_folders.check(images(folder))
     assert class_folders.is_split(folder) and class_folders.training_classes(folder) == ["cat", "dog"]
     assert (class_folders.train_folder(folder).name, class_folders.test_folder(folder).name) == names
@@ -155,7 +147,7 @@ def test_a_folder_one_level_too_high_is_refused(folder):
         lambda: class_folders.training_classes(folder),
         lambda: photographs.test_images(folder, 16, 10),
         lambda: dataset.training_images(images(folder), folder / "images.npy"),
-        lambda: unused_images(folder, 16),
+        lambda: photographs.unused_images(folder, 16),
         lambda: ranking_run.image_settings(folder, 16, 10, False, False),
     ):
         with pytest.raises(FileError, match=f"but deep has train and test; give {folder}/deep$"):
@@ -169,14 +161,13 @@ def test_a_folder_one_level_too_high_is_refused(folder):
 
 def test_folders_inside_that_may_be_the_classes_are_mentioned(tmp_path, capsys):
     """Two sets beside each other; photographs of one session in a folder of its own are no reason for a line."""
-    sets = tmp_path / "sets"
     for place in ("dogs/beagle", "dogs/collie", "things/horn", "things/church"):
-        write(sets / place / "0.png", "")
-    assert folders.find(sets, None, 0).classes == ("dogs", "things")
+        write(tmp_path / place / "0.png", "")
+    assert folders.find(tmp_path, None, 0).classes == ("dogs", "things")
     words = "its 2 folders are the classes; if those inside are, such as beagle, give"
-    assert capsys.readouterr().err == f"tasklens: {sets}: {words} {sets}/dogs\n"
-    write(sets / "dogs" / "1.png", "")
-    folders.find(sets, None, 0)
+    assert capsys.readouterr().err == f"tasklens: {tmp_path}: {words} {tmp_path}/dogs\n"
+    write(tmp_path / "dogs" / "1.png", "")
+    folders.find(tmp_path, None, 0)
     assert capsys.readouterr().err == ""
 
 
@@ -249,18 +240,15 @@ def test_pipes_and_links_to_nothing_are_named(folder):
     ],
 )
 def test_fewer_images_than_asked_for_are_refused(folder, counts, words):
-    class_folders.check(ImageSettings(size=16, minival=3, folder=folder, train=1, test=2))
-    with pytest.raises(FileError) as error:
-        class_folders.check(ImageSettings(size=16, minival=3, folder=folder, **counts))
-    assert words in str(error.value)
+    class_folders.check(images(folder, train=1, test=2))
+    with pytest.raises(FileError, match=words):
+        class_folders.check(images(folder, **counts))
 
 
 def test_names_of_classes_in_two_compositions(folder):
     """Names from macOS, with decomposed letters, are the same classes; both forms in one split are an error."""
-    for split in ("train", "test"):
-        (folder / split / "cat").rename(
-            folder / split / unicodedata.normalize({"train": "NFC", "test": "NFD"}[split], "käse")
-        )
+    for split, form in (("train", "NFC"), ("test", "NFD")):
+        (folder / split / "cat").rename(folder / split / unicodedata.normalize(form, "käse"))
     class_folders.check(images(folder))
     names = [folders.find(folder / split, None, 0).classes for split in ("train", "test")]
     assert names[0] == names[1] == ("dog", "käse")
@@ -293,10 +281,8 @@ def test_a_folder_of_classes_is_cut_into_splits(tmp_path):
     class_folders.check(settings)
     splits = splits_of(settings)
     assert {name: len(split) for name, split in splits.items()} == {"train": 6, "minival": 2, "test": 4}
-    pairs = []
-    for split in splits.values():
-        pairs += zip(split.images[:, 0, 0, 0].tolist(), split.labels.tolist(), strict=True)
-    assert sorted(pairs) == sorted((k, label) for k in range(6) for label in (0, 1))
+    pairs = [pair for split in splits.values() for pair in zip(split.images, split.labels, strict=True)]
+    assert sorted((int(image[0, 0, 0]), int(label)) for image, label in pairs) == [(k // 2, k % 2) for k in range(12)]
     assert all(2 * int(split.labels.sum()) == len(split) for split in splits.values())
     for wrong, words in (
         ({"test": None}, "has neither train nor test; set images.test or images.train"),
@@ -311,4 +297,4 @@ def test_each_split_has_every_class_in_proportion(tmp_path):
     save_photographs(tmp_path, cat=60, dog=60, lynx=6)
     for split in splits_of(ImageSettings(size=16, folder=tmp_path, test=42, minival=42)).values():
         assert torch.bincount(split.labels).tolist() == [20, 20, 2]
-    assert torch.bincount(unused_images(tmp_path, 16).labels).tolist() == [12, 13, 1]
+    assert torch.bincount(photographs.unused_images(tmp_path, 16).labels).tolist() == [12, 13, 1]

@@ -75,9 +75,7 @@ def read_or_refuse(path: Path, content: bytes | str, read: Callable, error: type
         with bounded():
             result = read(path)
     except error as refusal:
-        message = str(refusal)
-        assert type(refusal) is error
-        assert path.name in message
+        assert type(refusal) is error and path.name in str(refusal)
         event("refused")
         return None
     event("accepted")

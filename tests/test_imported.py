@@ -6,17 +6,7 @@ from pathlib import Path
 import pytest
 import torch
 from designs import tiny_network
-from examples import (
-    changed,
-    cooke_triplet,
-    f64,
-    make_lens,
-    random_images,
-    random_lens,
-    random_rays,
-    tiny_study,
-    with_imported,
-)
+from examples import changed, cooke_triplet, make_lens, random_images, tiny_study, with_imported
 from reference_files import reference_files
 
 from tasklens.design import methods
@@ -30,7 +20,6 @@ from tasklens.optics.analysis.spots import centroid, evaluation_psf, rms_spot_ra
 from tasklens.optics.io import imported, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import view_of_spec
 from tasklens.recognition.training import fit as fit_network
 from tasklens.runtime.files import FileError
@@ -50,28 +39,6 @@ RAYS = 512
 def fit_lens(folder: Path, lens: Lens, spec: Spec = SPEC, **use) -> tuple[Lens, dict]:
     prescription.write(folder / "given.yaml", Prescription(lens, **use), {})
     return imported.fit(ImportedLens(elements="triplet", file=folder / "given.yaml"), view_of_spec(spec), spec.f_number)
-
-
-# ---- another size
-
-
-@pytest.mark.parametrize("factor, seed", [(0.3, 0), (7.0, 1)])
-def test_a_scaled_lens_has_scaled_rays(factor, seed):
-    """Points, paths, clear apertures and focal length grow with the lens; directions and lost rays are the same."""
-    lens = replace(random_lens(seed), semi_diameter=f64([0.4, 0.5, torch.inf, 0.6, torch.inf]))
-    rays = random_rays(300, seed)
-    indices = lens.refractive_indices((0.5893,))
-    small = trace(lens, rays, indices)
-    large = trace(lens.scaled(factor), replace(rays, x=factor * rays.x, y=factor * rays.y), indices)
-    assert 0 < small.valid.double().mean() < 1
-    assert torch.equal(large.status, small.status) and torch.equal(large.lost_at, small.lost_at)
-    for name in ("x", "y", "path"):
-        torch.testing.assert_close(getattr(large, name), factor * getattr(small, name), rtol=1e-12, atol=1e-12 * factor)
-    for name in ("l", "m", "n"):
-        torch.testing.assert_close(getattr(large, name), getattr(small, name), rtol=0, atol=1e-12)
-    before, after = paraxial(lens, 0.5893), paraxial(lens.scaled(factor), 0.5893)
-    for name in ("efl", "bfl", "entrance_pupil_z", "entrance_pupil_radius"):
-        assert float(getattr(after, name)) == pytest.approx(factor * float(getattr(before, name)), rel=1e-12)
 
 
 def test_size_and_stop_of_the_file_do_not_matter(tmp_path):

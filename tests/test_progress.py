@@ -1,10 +1,10 @@
-"""Progress lines: when they appear and what they forecast."""
+"""Progress lines: when they appear, what they forecast, and what is left of them."""
 
 import time
 
 import pytest
 
-from tasklens.runtime.progress import Progress
+from tasklens.runtime.progress import Progress, progress_file, read_progress
 
 
 @pytest.mark.parametrize("first", [1, 51])
@@ -22,3 +22,12 @@ def test_what_remains_is_forecast_from_the_steps_of_this_run(first, monkeypatch,
     assert steps[0] == first and steps[-1] == 100 and steps[1] == first + 8  # 16 s later
     assert remaining == [2.0 * (100 - step) for step in steps]
     assert lines[0].startswith(f"design  step {first}/100  loss 0.5  remaining ")
+
+
+def test_a_job_that_fails_leaves_no_progress(tmp_path, capsys):
+    """Its log still has the progress lines."""
+    with pytest.raises(ZeroDivisionError), progress_file(tmp_path, "design/0"):
+        Progress("design", 2)(1, loss=0.5)
+        raise ZeroDivisionError
+    assert read_progress(tmp_path, "design/0") is None
+    assert "design  step 1/2  loss 0.5" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Ray tracing: what becomes of lost rays, derivatives of the tracer, threads."""
+"""Ray tracing: what becomes of lost rays, scaled lenses, derivatives of the tracer, threads."""
 
 from dataclasses import replace
 
@@ -7,6 +7,7 @@ import torch
 from examples import WAVELENGTHS, assert_close, difference, f64, make_lens, parallel_rays, random_lens, random_rays
 
 from tasklens.materials.catalogues import builtin
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.aspheres import sag
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus, launch
@@ -47,6 +48,25 @@ def test_a_lost_ray_has_a_status_and_a_surface():
     critical = 1 / builtin("COC").refractive_index(0.5893) / 0.8
     assert status_of(sphere, parallel_rays([critical - 1e-3])) == (RayStatus.OK, -1)
     assert status_of(sphere, parallel_rays([critical + 1e-3])) == (RayStatus.TOTAL_INTERNAL_REFLECTION, 1)
+
+
+@pytest.mark.parametrize("factor, seed", [(0.3, 0), (7.0, 1)])
+def test_a_scaled_lens_has_scaled_rays(factor, seed):
+    """Points, paths, clear apertures and focal length grow with the lens; directions and lost rays are the same."""
+    lens = replace(random_lens(seed), semi_diameter=f64([0.4, 0.5, torch.inf, 0.6, torch.inf]))
+    rays = random_rays(300, seed)
+    indices = lens.refractive_indices((0.5893,))
+    small = trace(lens, rays, indices)
+    large = trace(lens.scaled(factor), replace(rays, x=factor * rays.x, y=factor * rays.y), indices)
+    assert 0 < small.valid.double().mean() < 1
+    assert torch.equal(large.status, small.status) and torch.equal(large.lost_at, small.lost_at)
+    for name in ("x", "y", "path"):
+        torch.testing.assert_close(getattr(large, name), factor * getattr(small, name), rtol=1e-12, atol=1e-12 * factor)
+    for name in ("l", "m", "n"):
+        torch.testing.assert_close(getattr(large, name), getattr(small, name), rtol=0, atol=1e-12)
+    before, after = paraxial(lens, 0.5893), paraxial(lens.scaled(factor), 0.5893)
+    for name in ("efl", "bfl", "entrance_pupil_z", "entrance_pupil_radius"):
+        assert float(getattr(after, name)) == pytest.approx(factor * float(getattr(before, name)), rel=1e-12)
 
 
 def extreme_lenses() -> dict[str, Lens]:

@@ -12,7 +12,7 @@ import pytest
 from examples import tiny_study, write
 
 from tasklens.cli.app import main
-from tasklens.runtime.progress import Progress, progress_file, read_progress
+from tasklens.runtime.progress import Progress, progress_file
 from tasklens.study.loading import dump, parse
 from tasklens.study.run import closing, runs
 from tasklens.study.run.changes import PlannedJob
@@ -22,10 +22,8 @@ from tasklens.study.run.terminal import Terminal
 STUDY = parse(tiny_study())
 FOLDER = "results/tiny"
 DESIGN, TUNE = "design/singlet-imaging1-seed0", "fine_tune/singlet-imaging1-small-seed0"
-OUTPUTS = {
-    DESIGN: [f"{FOLDER}/lenses/singlet-imaging1/seed0/lens.yaml"],
-    TUNE: [f"{FOLDER}/metrics/singlet-imaging1/seed0/small.csv"],
-}
+LENS, TABLE = f"{FOLDER}/lenses/singlet-imaging1/seed0/lens.yaml", f"{FOLDER}/metrics/singlet-imaging1/seed0/small.csv"
+OUTPUTS = {DESIGN: [LENS], TUNE: [TABLE]}
 
 
 @pytest.fixture
@@ -125,15 +123,6 @@ def test_a_running_job_says_how_far_it_is(place, monkeypatch):
     assert not [path for path in (place / FOLDER / "progress").rglob("*") if path.is_file()]
 
 
-def test_a_job_that_fails_leaves_no_progress(place, capsys):
-    """Its log still has the progress lines."""
-    with pytest.raises(ZeroDivisionError), progress_file(FOLDER, DESIGN):
-        Progress("design", 2)(1, loss=0.5)
-        raise ZeroDivisionError
-    assert read_progress(FOLDER, DESIGN) is None
-    assert "design  step 1/2  loss 0.5" in capsys.readouterr().err
-
-
 def test_a_silent_job_is_reported(place):
     """A job that should report and has not for ten minutes: its machine may have died."""
     run = run_of(design=1)
@@ -184,14 +173,11 @@ def test_a_finished_job_has_one_line(snakemake, capsys):
     snakemake.say("Building DAG of jobs...")
     snakemake.job("job_info", 7, TUNE)
     snakemake.say("Shell command: tasklens run ...", event="shellcmd")
-    rows = "metric,value\naccuracy,40\naccuracy,50\nchance,10\n"
-    write(f"{FOLDER}/metrics/singlet-imaging1/seed0/small.csv", rows)
+    write(TABLE, "metric,value\naccuracy,40\naccuracy,50\nchance,10\n")
     benchmark(TUNE, 75)
     snakemake.job("job_finished", 7, TUNE)
-    lines = capsys.readouterr().err.splitlines()
-    assert [" ".join(line.split()) for line in lines] == [
-        "1/2 fine_tune singlet-imaging1-small-seed0 1 min accuracy 45.0 %"
-    ]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert " ".join(line.split()) == "1/2 fine_tune singlet-imaging1-small-seed0 1 min accuracy 45.0 %"
     job = runs.read(Path(FOLDER)).jobs[TUNE]
     assert (job.state, job.seconds, job.result) == (runs.DONE, 75.0, "accuracy 45.0 %")
 
@@ -267,7 +253,7 @@ def test_what_cannot_be_shown_does_not_end_the_run(snakemake, monkeypatch, capsy
     monkeypatch.setattr(logging, "raiseExceptions", False)
     snakemake.begin()
     snakemake.job("job_info", 3, DESIGN)
-    write(f"{FOLDER}/lenses/singlet-imaging1/seed0/lens.yaml", "[")
+    write(LENS, "[")
     snakemake.job("job_finished", 3, DESIGN)
     assert runs.read(Path(FOLDER)).jobs[DESIGN].state == runs.DONE
 
@@ -278,8 +264,7 @@ def test_what_cannot_be_shown_does_not_end_the_run(snakemake, monkeypatch, capsy
 def test_status_says_what_runs(place, capsys):
     run = run_of(design=2)
     run.begin("design/1")
-    out = status(capsys)
-    assert out.splitlines() == ["tiny: 0 of 2 jobs", "  design 1  starting"]
+    assert status(capsys).splitlines() == ["tiny: 0 of 2 jobs", "  design 1  starting"]
     content = json.loads(status(capsys, "--json"))
     (report,) = content["points"]
     assert content["study"] == report["study"] == "tiny"

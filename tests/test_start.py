@@ -2,16 +2,22 @@
 
 import pytest
 import torch
-from designs import LIMITS, SPEC
-from examples import f64, materials, random_lens
+from designs import LIMITS, SPEC, tiny_network
+from examples import changed, f64, materials, random_lens, tiny_study, write
 
+from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins, worst_margin
 from tasklens.design.optimizers import cosine
 from tasklens.design.start import flat
 from tasklens.design.variables import Variables, parameter_groups
 from tasklens.optics.analysis.paraxial import paraxial
+from tasklens.optics.io import prescription
+from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.settings.design_settings import LearningRates
 from tasklens.settings.specification import Constraints, Spec
+from tasklens.study.jobs import design_lens as design_job
+from tasklens.study.loading import parse
+from tasklens.study.table_contents import lens_design
 
 
 @pytest.mark.parametrize("elements", [1, 4])
@@ -74,3 +80,51 @@ def test_cosine_schedule():
     assert [cosine(x, 0.2) for x in (0, 0.5, 1, 2)] == pytest.approx([1, 0.6, 0.2, 0.2])
     assert cosine(0.3, 0.2) + cosine(0.7, 0.2) == pytest.approx(1.2)
     assert cosine(0.7, 1.0) == 1
+
+
+@pytest.mark.parametrize("names, rate", [(["imaging1", "imaging2"], 1e-3), ("best_imaging", None)])
+def test_a_design_begins_with_the_most_accurate_start(start, spot_lens, monkeypatch, names, rate):
+    """With a trained network no other lens competes; with a frozen one the start remains if it is not improved."""
+    joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": rate}]}
+    study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
+    study = parse(changed(study, "designs.joint", joint))
+    design_settings, calls = lens_design(study, "doublet-joint", 0), []
+
+    def design(begin, candidates, *rest):
+        calls.append((begin, candidates))
+        raise Called
+
+    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (spot_lens, 70.0)}
+    monkeypatch.setattr(descents, "design", design)
+    with pytest.raises(Called):
+        methods.design(design_settings, tiny_network(), None, starts, {})
+    ((begin, candidates),) = calls
+    assert torch.equal(begin.curvature, spot_lens.curvature)
+    assert list(candidates) == ([] if rate else ["doublet-imaging2"])
+    assert all(torch.equal(lens.curvature, spot_lens.curvature) for lens in candidates.values())
+
+
+class Called(Exception):
+    """Ends a design at its beginning."""
+
+
+@pytest.mark.parametrize("names, start", [(["imaging1"], "even"), ("best_imaging", "uneven")])
+def test_a_joint_descent_begins_with_no_lost_field(tmp_path, monkeypatch, names, start):
+    """With the lens whose worst field is the best; end-to-end design, as in the paper, with the best mean."""
+    lens, accuracies = flat(materials("COC"), Spec(), LIMITS), {"even": 9 * [60], "uneven": [*8 * [70], 10]}
+    prescription.write(tmp_path / "lens.yaml", prescription.Prescription(lens), {})
+    for name, values in accuracies.items():
+        rows = [f"{field},minival_accuracy,{value}\n" for field, value in enumerate(values)]
+        write(tmp_path / name, "field,metric,value\n" + "".join(rows))
+    joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
+    design_settings = lens_design(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0)
+
+    def design(settings, network, train, starts, *rest):
+        raise Called(max(starts, key=lambda name: starts[name][1]))
+
+    monkeypatch.setattr(methods, "design", design)
+    settings = design_settings.model_copy(update={"starts": tuple(accuracies), "candidates": ()})
+    starts, metrics = 2 * [tmp_path / "lens.yaml"], [tmp_path / name for name in accuracies]
+    outputs = (tmp_path / name for name in ("out.yaml", "history.csv"))
+    with pytest.raises(Called, match=f"^{start}$"):
+        design_job.run(settings, [], None, [], [], starts, metrics, *outputs, NO_CHECKPOINT)

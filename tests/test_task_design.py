@@ -1,4 +1,4 @@
-"""Task-driven design: its restarts, its candidates and their finish, and designs with a network trained jointly."""
+"""Task-driven design: its restarts, its candidates and their finish, and descents with a network trained jointly."""
 
 import copy
 import math
@@ -7,12 +7,11 @@ from dataclasses import replace
 import pytest
 import torch
 from designs import LIMITS, NO_LIMITS, VIEW, image_error, problem, task_design, tiny_network
-from examples import by_descents, changed, materials, random_images, tiny_study, write
+from examples import by_descents, materials, random_images
 from torch.nn import BatchNorm2d
 from torch.nn.functional import interpolate
 
 from tasklens.camera.imaging import PsfCamera, psnr
-from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.criteria import ImageError, JointTaskLoss
 from tasklens.design.descent import Descent
@@ -21,15 +20,10 @@ from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields
-from tasklens.optics.io import prescription
 from tasklens.optics.psf import psf
-from tasklens.runtime.checkpoints import NO_CHECKPOINT
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.settings.specification import Spec
-from tasklens.study.jobs import design_lens as design_job
-from tasklens.study.loading import parse
-from tasklens.study.table_contents import lens_design
 
 pytestmark = pytest.mark.usefixtures("few_rays")
 
@@ -275,51 +269,3 @@ def test_a_network_that_changes_halves_no_step(start):
     losses = [row["validation_loss"] for row in rows if "validation_loss" in row]
     assert sum(later > losses[0] for later in losses) > 3
     assert len({row["step_size_um"] for row in rows}) == 1
-
-
-@pytest.mark.parametrize("names, rate", [(["imaging1", "imaging2"], 1e-3), ("best_imaging", None)])
-def test_a_design_begins_with_the_most_accurate_start(start, spot_lens, monkeypatch, names, rate):
-    """With a trained network no other lens competes; with a frozen one the start remains if it is not improved."""
-    joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": rate}]}
-    study = changed(tiny_study(), "elements", {"doublet": ["COC", "OKP4"]})
-    study = parse(changed(study, "designs.joint", joint))
-    design_settings, calls = lens_design(study, "doublet-joint", 0), []
-
-    def design(begin, candidates, *rest):
-        calls.append((begin, candidates))
-        raise Called
-
-    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (spot_lens, 70.0)}
-    monkeypatch.setattr(descents, "design", design)
-    with pytest.raises(Called):
-        methods.design(design_settings, tiny_network(), None, starts, {})
-    ((begin, candidates),) = calls
-    assert torch.equal(begin.curvature, spot_lens.curvature)
-    assert list(candidates) == ([] if rate else ["doublet-imaging2"])
-    assert all(torch.equal(lens.curvature, spot_lens.curvature) for lens in candidates.values())
-
-
-class Called(Exception):
-    """Ends a design at its beginning."""
-
-
-@pytest.mark.parametrize("names, start", [(["imaging1"], "even"), ("best_imaging", "uneven")])
-def test_a_joint_descent_begins_with_no_lost_field(tmp_path, monkeypatch, names, start):
-    """With the lens whose worst field is the best; end-to-end design, as in the paper, with the best mean."""
-    lens, accuracies = flat(materials("COC"), Spec(), LIMITS), {"even": 9 * [60], "uneven": [*8 * [70], 10]}
-    prescription.write(tmp_path / "lens.yaml", prescription.Prescription(lens), {})
-    for name, values in accuracies.items():
-        rows = [f"{field},minival_accuracy,{value}\n" for field, value in enumerate(values)]
-        write(tmp_path / name, "field,metric,value\n" + "".join(rows))
-    joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
-    design_settings = lens_design(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0)
-
-    def design(settings, network, train, starts, *rest):
-        raise Called(max(starts, key=lambda name: starts[name][1]))
-
-    monkeypatch.setattr(methods, "design", design)
-    settings = design_settings.model_copy(update={"starts": tuple(accuracies), "candidates": ()})
-    starts, metrics = 2 * [tmp_path / "lens.yaml"], [tmp_path / name for name in accuracies]
-    outputs = (tmp_path / name for name in ("out.yaml", "history.csv"))
-    with pytest.raises(Called, match=f"^{start}$"):
-        design_job.run(settings, [], None, [], [], starts, metrics, *outputs, NO_CHECKPOINT)

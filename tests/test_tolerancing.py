@@ -1,4 +1,4 @@
-"""Errors of manufacture: built lenses, their focus, sensitivities against traced rays and statistics, allocation."""
+"""Errors of manufacture: built lenses, their focus, sensitivities against traced rays and statistics."""
 
 import math
 from dataclasses import replace
@@ -16,7 +16,6 @@ from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import chief_points, distances, encircled_energy_radius, trace_fields
 from tasklens.optics.lens import Lens, Melt
-from tasklens.optics.tolerancing import allocation
 from tasklens.optics.tolerancing.manufacturing_errors import DEVIATION, draw, elements, errors, with_errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import View
@@ -268,43 +267,6 @@ def test_built_lenses_follow_linear_theory():
     error = torch.tensor(squares).std() / 10  # of the mean of 100
     assert sum(squares) / 100 == pytest.approx(expected, abs=4 * float(error))
     assert float(error) < 0.12 * expected
-
-
-# ---- allocation
-
-
-def test_tolerances_are_the_cheapest_for_their_effect():
-    """No others with the same mean square displacement have a smaller sum of inverse tolerances."""
-    effects = f64([0.2, 1.0, 3.0, 0.7])
-    tolerances = allocation.cheapest(effects, 0.5)
-    generator = torch.Generator().manual_seed(0)
-    for _ in range(50):
-        other = tolerances * torch.exp(0.3 * torch.randn(4, generator=generator, dtype=torch.float64))
-        other = other * ((tolerances * effects).square().sum() / (other * effects).square().sum()).sqrt()
-        assert (1 / other).sum() >= (1 / tolerances).sum() - 1e-12
-    assert allocation.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # wider tolerances would gain nothing
-
-
-def test_a_drawing_has_one_tolerance_for_x_and_y():
-    all_errors = errors(doublet()[0], grade(element_decentre_um=1.0, thickness_um=1.0))
-    names = [error.name for error in all_errors]
-    effects = torch.arange(1.0, 1.0 + len(all_errors), dtype=torch.float64)
-    common = dict(zip(names, allocation.both_axes(all_errors, effects).tolist(), strict=True))
-    x, y = (float(effects[names.index(f"element decentre 1 {axis}")]) for axis in "xy")
-    assert common["element decentre 1 x"] == common["element decentre 1 y"] == pytest.approx(math.hypot(x, y) / 2**0.5)
-    assert common["thickness 3"] == float(effects[names.index("thickness 3")])
-
-
-def test_the_widest_tolerances_that_pass():
-    effects = f64([0.2, 1.0, 3.0])
-    tolerances = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 1.0)
-    assert 0.6 < float((tolerances * effects).square().sum()) <= 1.0
-    assert allocation.widest(effects, lambda t: False) is None
-    tight = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 0.01)
-    assert 0.006 < float((tight * effects).square().sum()) <= 0.01
-    tried = []
-    assert allocation.widest(effects, lambda t: not tried.append(t)) is not None
-    assert len(tried) < allocation.TRIALS
 
 
 # ---- settings

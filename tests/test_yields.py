@@ -1,19 +1,20 @@
-"""Built lenses: yields by spot and MTF, without a network."""
+"""Built lenses: yields by spot and MTF, without a network, and the tolerances that they can have."""
 
 import json
 import math
 from dataclasses import replace
 
 import pytest
+import torch
 from examples import cooke_triplet, f64
-from tolerance_examples import grade
+from tolerance_examples import doublet, grade
 
 from tasklens.cli.app import main
 from tasklens.optics.analysis.pupil import rim
 from tasklens.optics.analysis.spots import lit_semi_diameters, trace_fields
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
-from tasklens.optics.tolerancing import yields
+from tasklens.optics.tolerancing import allocation, yields
 from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.view import View
 from tasklens.settings.tolerance_settings import GRADES, Grade
@@ -78,6 +79,40 @@ def test_yields_by_hand():
         {"rms_spot_um": 2 * 2.805, "rms_spot_worst_um": 3 + 18.05, "mtf_quarter_nyquist": 0.6 * 0.0975}
     )
     assert [row["error"] for row in data["errors"]] == [error_list[k].name for k in (1, 2, 0)]
+
+
+def test_tolerances_are_the_cheapest_for_their_effect():
+    """No others with the same mean square displacement have a smaller sum of inverse tolerances."""
+    effects = f64([0.2, 1.0, 3.0, 0.7])
+    tolerances = allocation.cheapest(effects, 0.5)
+    generator = torch.Generator().manual_seed(0)
+    for _ in range(50):
+        other = tolerances * torch.exp(0.3 * torch.randn(4, generator=generator, dtype=torch.float64))
+        other = other * ((tolerances * effects).square().sum() / (other * effects).square().sum()).sqrt()
+        assert (1 / other).sum() >= (1 / tolerances).sum() - 1e-12
+    assert allocation.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # wider tolerances would gain nothing
+
+
+def test_a_drawing_has_one_tolerance_for_x_and_y():
+    all_errors = errors(doublet()[0], grade(element_decentre_um=1.0, thickness_um=1.0))
+    names = [error.name for error in all_errors]
+    effects = torch.arange(1.0, 1.0 + len(all_errors), dtype=torch.float64)
+    common = dict(zip(names, allocation.both_axes(all_errors, effects).tolist(), strict=True))
+    x, y = (float(effects[names.index(f"element decentre 1 {axis}")]) for axis in "xy")
+    assert common["element decentre 1 x"] == common["element decentre 1 y"] == pytest.approx(math.hypot(x, y) / 2**0.5)
+    assert common["thickness 3"] == float(effects[names.index("thickness 3")])
+
+
+def test_the_widest_tolerances_that_pass():
+    effects = f64([0.2, 1.0, 3.0])
+    tolerances = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 1.0)
+    assert 0.6 < float((tolerances * effects).square().sum()) <= 1.0
+    assert allocation.widest(effects, lambda t: False) is None
+    tight = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 0.01)
+    assert 0.006 < float((tight * effects).square().sum()) <= 0.01
+    tried = []
+    assert allocation.widest(effects, lambda t: not tried.append(t)) is not None
+    assert len(tried) < allocation.TRIALS
 
 
 @pytest.mark.slow
