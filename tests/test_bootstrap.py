@@ -88,12 +88,7 @@ def test_the_interval_of_one_seed_is_that_of_scipy():
 
 @pytest.mark.parametrize(
     "seeds, spread, largest",  # with independent noise of images and seeds an interval may be too wide
-    [
-        (1, (0, 1, 0), 0.985),
-        (5, (1, 0.1, 0.1), 0.985),
-        (5, (0, 1, 0), 0.985),
-        (5, (0.05, 0, 1), 0.995),
-    ],
+    [(1, (0, 1, 0), 0.985), (5, (1, 0.1, 0.1), 0.985), (5, (0, 1, 0), 0.985), (5, (0.05, 0, 1), 0.995)],
 )
 def test_intervals_cover_the_truth_in_95_of_100_studies(seeds, spread, largest):
     """400 studies of 150 images determine a share of 0.95 to 0.011; as many p-values as intervals find nothing."""

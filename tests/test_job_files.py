@@ -109,11 +109,7 @@ def test_no_design_starts_from_a_lens_that_stops_light():
         parse(changed(study, "designs.tasklens.start", ["imaging2"]))
 
 
-JOINT = {
-    "start": ["tasklens", "imaging2"],
-    "batch_size": 2,
-    "descents": [{"steps": 2, "network_learning_rate": 1e-3}],
-}
+JOINT = {"start": ["tasklens", "imaging2"], "batch_size": 2, "descents": [{"steps": 2, "network_learning_rate": 1e-3}]}
 
 
 def test_a_joint_design_starts_from_the_best_after_fine_tuning():

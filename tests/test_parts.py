@@ -31,8 +31,7 @@ def test_a_part_has_table_1_of_the_first_element_counts():
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{"tables": ["table2"]}, {"sweep": {"spec.f_number": [2.8, 4]}}, {"elements": {"singlet": ["COC"]}}],
+    "changes", [{"tables": ["table2"]}, {"sweep": {"spec.f_number": [2.8, 4]}}, {"elements": {"singlet": ["COC"]}}]
 )
 def test_no_parts_without_table_1_at_points_of_a_sweep_or_of_one_element_count(changes):
     assert parts(three_counts(**changes)) == []

@@ -5,16 +5,7 @@ from functools import partial
 
 import pytest
 import torch
-from examples import (
-    WAVELENGTHS,
-    assert_close,
-    cooke_triplet,
-    f64,
-    make_lens,
-    parallel_rays,
-    random_lens,
-    random_rays,
-)
+from examples import WAVELENGTHS, assert_close, cooke_triplet, f64, make_lens, parallel_rays, random_lens, random_rays
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus, launch

@@ -117,10 +117,7 @@ def test_a_study_without_errors_passes(study):
     assert verification.summary(findings) == "Checked 2 lenses and 8 measurements: 0 failures."
 
 
-@pytest.mark.parametrize(
-    "margin, kept",
-    [(-5e-7, True), (-2e-6, False), (float("nan"), False), (float("-inf"), False)],
-)
+@pytest.mark.parametrize("margin, kept", [(-5e-7, True), (-2e-6, False), (float("nan"), False), (float("-inf"), False)])
 def test_a_broken_limit_is_named(study, margin, kept):
     """A margin below zero, beyond rounding, or one that is no number; every broken limit of every lens."""
     content = lens_content(study.spec.efl_mm, max_slope=margin, max_track=-0.5)

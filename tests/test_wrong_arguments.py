@@ -103,10 +103,7 @@ def single(lens):
         (lambda lens, view: design_lens("spot", start=(lens, view), settings={"free": {}}), "give it as `free`"),
         (lambda lens, view: rank({"a": (lens, view)}, [(IMAGE, 0)], NETWORK, size=64), "size: only for a folder"),
         (lambda lens, view: design_lens("spot", start=(lens, view), diagonal_mm=4.0), "diagonal_mm: not with `start`"),
-        (
-            lambda lens, view: design_lens("spot", start=(lens, view), configuration=2),
-            "configuration: only for",
-        ),
+        (lambda lens, view: design_lens("spot", start=(lens, view), configuration=2), "configuration: only for"),
         (lambda lens, view: design_lens("spot", start=(tilted(lens), view)), "start: designs need a nominal lens"),
         (lambda lens, view: trace(lens, view, pupil=[[0, 0, 1]]), r"pupil: expected points \(N, 2\), got"),
         (lambda lens, view: Camera(lens, view, rays=0), "rays: expected a whole number from 1"),

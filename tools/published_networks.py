@@ -1,4 +1,4 @@
-"""Published networks that timm does not build by name, of ImageNet's thousand classes: functions for `model` in a study.
+"""Published networks of ImageNet's thousand classes that timm does not build by name: functions for `model`.
 
 Their weights are converted by `python tools/convert_networks.py`.
 """

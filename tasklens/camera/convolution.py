@@ -33,13 +33,7 @@ class _Convolution(torch.autograd.Function):
 
     @staticmethod
     def forward(
-        ctx: Any,
-        images: Tensor,
-        mean: Tensor,
-        psf: Tensor,
-        runs: list[Run],
-        shape: tuple[int, int],
-        kernels: Tensor,
+        ctx: Any, images: Tensor, mean: Tensor, psf: Tensor, runs: list[Run], shape: tuple[int, int], kernels: Tensor
     ) -> Tensor:
         """Render captures (N, 2, 3, H, W) of the pairs of each run in turn.
 

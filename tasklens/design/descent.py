@@ -57,12 +57,7 @@ class Descent:
     """
 
     def __init__(
-        self,
-        start: Lens,
-        objective: Objective,
-        design: GradientDesignSettings,
-        settings: DescentSettings,
-        seed: int,
+        self, start: Lens, objective: Objective, design: GradientDesignSettings, settings: DescentSettings, seed: int
     ):
         self.objective, self.settings, self.rays, self.seed = objective, settings, design.rays, seed
         self.optimizer = OPTIMIZERS[settings.optimizer](start, objective.problem, settings)

@@ -23,12 +23,7 @@ _M_TRIM_THRESHOLD, _M_MMAP_MAX = -1, -4  # of mallopt(3)
 
 
 def run(
-    function: str,
-    settings: str,
-    code: str,
-    inputs: Mapping[str, Paths],
-    outputs: Mapping[str, str],
-    log: Path,
+    function: str, settings: str, code: str, inputs: Mapping[str, Paths], outputs: Mapping[str, str], log: Path
 ) -> None:
     """Call the function of a job; its checkpoint is removed when the outputs are complete.
 

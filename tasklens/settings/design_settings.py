@@ -88,8 +88,7 @@ class DescentSettings(Frozen):
         1.0, description="T of the loss T cross_entropy(logits / T): above 1, confident wrong answers weigh less."
     )
     network_learning_rate: LearningRate | None = Field(
-        None,
-        description="Learning rate of a copy of the network, trained with the lens; null: the network is frozen.",
+        None, description="Learning rate of a copy of the network, trained with the lens; null: the network is frozen."
     )
     batch_size: Batch | None = Field(
         None, description="Images per step, each at all fields of the step; null: `batch_size` of the design."

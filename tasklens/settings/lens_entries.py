@@ -8,11 +8,7 @@ from pydantic import BeforeValidator, Field, FilePath, field_validator
 from tasklens.materials.catalogues import MAKERS, PLASTICS, catalogues_in_folder
 from tasklens.materials.material import Material
 from tasklens.settings.capture_settings import CaptureSettings
-from tasklens.settings.design_settings import (
-    DescentSettings,
-    DesignSettings,
-    GradientDesignSettings,
-)
+from tasklens.settings.design_settings import DescentSettings, DesignSettings, GradientDesignSettings
 from tasklens.settings.field_settings import FieldSet, Points
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.names import Focus

@@ -14,9 +14,7 @@ class TrainingSettings(Frozen):
     """Settings of AdamW with linear warm-up and cosine schedule; biases and norms have no weight decay."""
 
     epochs: float = Field(
-        ge=0,
-        le=10_000,
-        description="Epochs, possibly fractional; 0: no training, as in a zero-shot study.",
+        ge=0, le=10_000, description="Epochs, possibly fractional; 0: no training, as in a zero-shot study."
     )
     learning_rate: LearningRate = Field(description="Largest learning rate, after the warm-up.")
     batch_size: Batch = Field(64, description="Images per step.")

@@ -110,11 +110,7 @@ def _margins(margins: Mapping[str, float]) -> pandas.DataFrame:
 
 
 def manufacturability(
-    margins: Mapping[str, float],
-    shapes: Sequence[Shape],
-    errors_um: Mapping[str, float],
-    grade: str,
-    pixel_um: float,
+    margins: Mapping[str, float], shapes: Sequence[Shape], errors_um: Mapping[str, float], grade: str, pixel_um: float
 ) -> str:
     """Return the section on manufacturability as Markdown: a verdict in words, and its tables.
 

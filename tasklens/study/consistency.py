@@ -8,10 +8,7 @@ from tasklens.fields import SELECTION
 from tasklens.settings import feasibility, starts
 from tasklens.settings import field_settings as fields
 from tasklens.settings.capture_settings import CaptureSettings
-from tasklens.settings.design_settings import (
-    DesignSettings,
-    GradientDesignSettings,
-)
+from tasklens.settings.design_settings import DesignSettings, GradientDesignSettings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
 from tasklens.settings.messages import in_words

@@ -41,11 +41,7 @@ def effort(study: Study) -> Efforts:
     lenses = dict.fromkeys(table_lenses(study))
     lenses |= dict.fromkeys(other for lens in lenses for other in _chosen_from(study, lens))
     efforts = (
-        Effort(
-            lens=name,
-            tried=_count_candidates(study.lens(name).design),
-            chosen_from=_chosen_from(study, name),
-        )
+        Effort(lens=name, tried=_count_candidates(study.lens(name).design), chosen_from=_chosen_from(study, name))
         for name in study.lenses
         if name in lenses
     )

@@ -11,10 +11,7 @@ from tasklens.materials.material import Material, from_definitions
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.settings.capture_settings import CaptureSettings
-from tasklens.settings.design_settings import (
-    DesignSettings,
-    LeastSquaresSettings,
-)
+from tasklens.settings.design_settings import DesignSettings, LeastSquaresSettings
 from tasklens.settings.field_settings import FieldSettings, Points, points
 from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings

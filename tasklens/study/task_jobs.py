@@ -88,8 +88,5 @@ def tasks(study: Study) -> TaskContents:
     if study.tasks.designs is None:  # table 1 has none of them
         own = [lens.name for lens in study.lenses.values() if lens.other_task]
     return TaskContents(
-        study=study.name,
-        lenses=(SHARP, *chosen, *own),
-        tasks=tuple(study.tasks.networks),
-        seeds=study.seeds,
+        study=study.name, lenses=(SHARP, *chosen, *own), tasks=tuple(study.tasks.networks), seeds=study.seeds
     )

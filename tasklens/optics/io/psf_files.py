@@ -22,11 +22,7 @@ class FieldPsfs(NamedTuple):
 
 
 def write(
-    path: Path,
-    psf: Tensor,
-    illumination: Tensor,
-    sets: Mapping[str, tuple[int, int, int]],
-    notes: Mapping[str, Any],
+    path: Path, psf: Tensor, illumination: Tensor, sets: Mapping[str, tuple[int, int, int]], notes: Mapping[str, Any]
 ) -> None:
     """Write PSFs (F, 3, K, K) and relative illumination (F,) in float32.
 

@@ -108,19 +108,7 @@ def reverse(first, last, start, count, lens, status, distances, gradient, b_star
 
 
 @entry
-def forward(
-    first,
-    last,
-    start,
-    count,
-    lens,
-    status,
-    lost_at,
-    distances,
-    changes,
-    d_image,
-    d_record,
-):
+def forward(first, last, start, count, lens, status, lost_at, distances, changes, d_image, d_record):
     """Propagate V small changes of the rays at the start and of the lens to the rays on the image plane.
 
     Args:

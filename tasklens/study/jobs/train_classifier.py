@@ -16,11 +16,7 @@ _SHARP, _ENOUGH = 500, 30  # maximum and minimum number of images to check publi
 
 
 def run(
-    settings: ClassifierSettings,
-    images: Sequence[Path],
-    published: Path | None,
-    weights: Path,
-    checkpoint: Checkpoint,
+    settings: ClassifierSettings, images: Sequence[Path], published: Path | None, weights: Path, checkpoint: Checkpoint
 ) -> None:
     """Train the classifier or load its published weights, and write the weights.
 

@@ -80,11 +80,7 @@ def placeholder() -> Screened:
 
 
 def screen(
-    paths: Sequence[Path],
-    spec: Mapping[str, Any],
-    catalogues: Sequence[Path],
-    scaled: bool,
-    focus: Focus | None = None,
+    paths: Sequence[Path], spec: Mapping[str, Any], catalogues: Sequence[Path], scaled: bool, focus: Focus | None = None
 ) -> Screened:
     """Read lenses, and check which of them can be used with a sensor.
 

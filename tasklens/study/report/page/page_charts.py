@@ -184,11 +184,7 @@ def histories(
         ends.append(f"{name} {valid.iloc[-1]:.4g}")
         sample = valid.iloc[:: max(1, len(valid) // _POINTS)]
         figure.add_scatter(
-            x=(sample.index.to_numpy() + 1) / len(history),
-            y=sample.round(5),
-            mode="lines",
-            name=name,
-            line=_line(k),
+            x=(sample.index.to_numpy() + 1) / len(history), y=sample.round(5), mode="lines", name=name, line=_line(k)
         )
     if not ends:
         return None
