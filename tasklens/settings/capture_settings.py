@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, model_validator
 
 from tasklens.runtime.errors import InputError
-from tasklens.settings.frozen import Frozen
-from tasklens.settings.quantities import Magnification, Whole
+from tasklens.settings.base import Frozen, Magnification, Whole
 
 
 class SensorSettings(Frozen):

@@ -5,13 +5,12 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Discriminator, Field, Tag, field_validator, model_validator
 
-from tasklens.settings.frozen import Frozen
-from tasklens.settings.least_squares_settings import LeastSquaresSettings
-from tasklens.settings.quantities import (
+from tasklens.settings.base import (
     Angle,
     Batch,
     Count,
     Fraction,
+    Frozen,
     LearningRate,
     Magnification,
     Name,
@@ -21,6 +20,7 @@ from tasklens.settings.quantities import (
     Small,
     Steps,
 )
+from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.tolerance_settings import Grade
 
 VariableName = Literal["curvature", "thickness", "alpha_4", "alpha_6", "alpha_8", "alpha_10"]

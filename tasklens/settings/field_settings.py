@@ -9,7 +9,7 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, model_validator
 
 from tasklens.fields import CORNER, GRADING, GRADING_CENTRES, PAPER, SELECTION, Points
-from tasklens.settings.frozen import Frozen
+from tasklens.settings.base import Frozen
 
 NAMED = ("sensor", "paper")  # sets that have a name
 _LEAST = 4  # fields of a set

@@ -4,8 +4,7 @@ from pathlib import Path
 
 from pydantic import Field, model_validator
 
-from tasklens.settings.frozen import Frozen
-from tasklens.settings.quantities import Count, Periods, Seed, Whole
+from tasklens.settings.base import Count, Frozen, Periods, Seed, Whole
 
 RENDERED_CLASSES = 10  # a copy of len(scenes.CLASSES), whose module imports torch
 

@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from tasklens.settings.frozen import Frozen
-from tasklens.settings.quantities import Angle, Count, Name, Positive, Steps
+from tasklens.settings.base import Angle, Count, Frozen, Name, Positive, Steps
 
 
 class LeastSquaresSettings(Frozen):

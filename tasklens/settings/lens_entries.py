@@ -7,13 +7,12 @@ from pydantic import BeforeValidator, Field, FilePath, field_validator
 
 from tasklens.materials.catalogues import MAKERS, PLASTICS, catalogues_in_folder
 from tasklens.materials.material import Material
+from tasklens.settings.base import Frozen, Name
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import DescentSettings, DesignSettings, GradientDesignSettings
 from tasklens.settings.field_settings import FieldSet, Points
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.names import Focus
 from tasklens.settings.network_settings import ClassifierSettings
-from tasklens.settings.quantities import Name
 from tasklens.settings.specification import Constraints, Spec
 from tasklens.settings.task_settings import TaskSettings
 

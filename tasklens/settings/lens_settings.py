@@ -12,17 +12,16 @@ from tasklens.materials.material import Material
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.settings import feasibility, starts
+from tasklens.settings.base import Frozen, Name
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_methods import from_flat, methods
 from tasklens.settings.design_settings import DesignSettings, GradientDesignSettings
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.layers import check_plain, merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import LensDesign, LensEntry
 from tasklens.settings.messages import validate
 from tasklens.settings.network_settings import ClassifierSettings
-from tasklens.settings.quantities import Name
 from tasklens.settings.specification import Constraints, Spec
 
 _ELEMENTS = "lens"  # name of its elements

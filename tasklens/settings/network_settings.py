@@ -6,8 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, computed_field, model_validator
 
 from tasklens.runtime import user_code
-from tasklens.settings.frozen import Frozen
-from tasklens.settings.quantities import Batch, Fraction, LearningRate, Seed, Small, Steps, Whole
+from tasklens.settings.base import Batch, Fraction, Frozen, LearningRate, Seed, Small, Steps, Whole
 
 
 class TrainingSettings(Frozen):

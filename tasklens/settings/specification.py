@@ -5,8 +5,7 @@ import math
 from pydantic import Field, computed_field, field_validator
 
 from tasklens.fields import PAPER
-from tasklens.settings.frozen import Frozen
-from tasklens.settings.quantities import Angle, Fraction, Length, Micrometres, Small, Whole
+from tasklens.settings.base import Angle, Fraction, Frozen, Length, Micrometres, Small, Whole
 
 
 class Spec(Frozen):

@@ -5,9 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field, model_validator
 
-from tasklens.settings.frozen import Frozen
+from tasklens.settings.base import Count, Frozen, Name, Periods, Seed, Small, Whole
 from tasklens.settings.network_settings import TrainingSettings
-from tasklens.settings.quantities import Count, Name, Periods, Seed, Small, Whole
 
 
 class SceneSettings(Frozen):

@@ -4,8 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from tasklens.settings.frozen import Frozen
-from tasklens.settings.quantities import Count
+from tasklens.settings.base import Count, Frozen
 
 Tolerance = Annotated[float, Field(ge=0, le=1000)]
 Percent = Annotated[float, Field(ge=0, le=50)]

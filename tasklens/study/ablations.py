@@ -5,14 +5,13 @@ from typing import Annotated, Any
 
 from pydantic import Field, TypeAdapter
 
+from tasklens.settings.base import Frozen, Name
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import DesignSettings
 from tasklens.settings.field_settings import FieldSet
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import LensEntry
-from tasklens.settings.quantities import Name
 
 _DESIGN = TypeAdapter(DesignSettings)
 

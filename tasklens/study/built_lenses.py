@@ -1,8 +1,8 @@
 """Settings of lenses built in simulation, and contents of their table; no torch here."""
 
+from tasklens.settings.base import Frozen
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.field_settings import Points
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.network_settings import ClassifierSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import ToleranceSettings

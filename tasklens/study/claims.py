@@ -6,7 +6,7 @@ A claim belongs to one table, which sets its classifier and whether captures are
 from itertools import pairwise
 
 from tasklens.settings import names
-from tasklens.settings.frozen import Frozen
+from tasklens.settings.base import Frozen
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import LensEntry
 from tasklens.settings.names import SHARP

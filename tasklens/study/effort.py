@@ -1,7 +1,7 @@
 """Effort of the designs of a study, and the lenses that they were chosen from; no torch here."""
 
+from tasklens.settings.base import Frozen
 from tasklens.settings.design_settings import DesignSettings
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study.study import Study

@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import Any
 
 from tasklens.settings import names
+from tasklens.settings.base import Frozen
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.field_settings import Points
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.names import SHARP
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings

@@ -10,10 +10,10 @@ from pydantic import ValidationError
 
 from tasklens.runtime import yaml_files
 from tasklens.runtime.files import FileError
+from tasklens.settings.base import Name
 from tasklens.settings.design_methods import with_named_designs
 from tasklens.settings.layers import check_plain, merged_settings
 from tasklens.settings.messages import missing_keys, problems, suggestion
-from tasklens.settings.quantities import Name
 from tasklens.study import consistency
 from tasklens.study.study import Study, StudyError
 from tasklens.study.sweep import points

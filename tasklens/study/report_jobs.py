@@ -3,9 +3,9 @@
 from typing import Any
 
 from tasklens.settings import names
+from tasklens.settings.base import Frozen
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.field_settings import Points, radii
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.names import SHARP
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings
 from tasklens.settings.specification import Spec

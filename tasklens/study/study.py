@@ -10,15 +10,14 @@ from tasklens.materials.library import Library
 from tasklens.materials.material import Material, from_definitions
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
+from tasklens.settings.base import Frozen, Name, Rays, Seed, StudyName
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import DesignSettings, LeastSquaresSettings
 from tasklens.settings.field_settings import FieldSettings, Points, points
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
 from tasklens.settings.messages import validate
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings
-from tasklens.settings.quantities import Name, Rays, Seed, StudyName
 from tasklens.settings.specification import Constraints, Spec
 from tasklens.settings.task_settings import TaskSettings, TasksSettings
 from tasklens.settings.tolerance_settings import ToleranceSettings

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from tasklens.fields import GRADING_CENTRES, PAPER
 from tasklens.settings import names
-from tasklens.settings.frozen import Frozen
+from tasklens.settings.base import Frozen
 from tasklens.settings.lens_entries import LensDesign
 from tasklens.settings.names import SHARP
 from tasklens.settings.starts import compared_by_accuracy, compared_by_criterion

@@ -2,8 +2,8 @@
 
 from typing import Any, NamedTuple
 
+from tasklens.settings.base import Frozen
 from tasklens.settings.capture_settings import CaptureSettings
-from tasklens.settings.frozen import Frozen
 from tasklens.settings.names import SHARP
 from tasklens.settings.task_settings import SceneSettings, TaskSettings
 from tasklens.study.job_settings import lens_columns

@@ -1,4 +1,4 @@
-"""Kinds of numbers and names in study files; no torch here.
+"""Base class of all settings, and kinds of numbers and names in them; no torch here.
 
 Bounds are far from all practical values. They reject, before the first job, values that would fail hours later, fill
 the memory, or never end.
@@ -6,7 +6,13 @@ the memory, or never end.
 
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, Field
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
+
+
+class Frozen(BaseModel):
+    """Base class of all settings: immutable, unknown keys are errors."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 def _no_truth(value: Any) -> Any:
