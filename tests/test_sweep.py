@@ -62,7 +62,8 @@ def test_each_point_is_the_study_with_these_values(swept, tmp_path):
         ({"designs.imaging1.method": ["descents", "least_squares"]}, ["designs.imaging1.method", "several designs"]),
         ({"spec.f_number": 2}, ["sweep.spec.f_number = 2", "a list"]),
         ({"spec.f_number": [[2]]}, ["sweep.spec.f_number", "expected numbers, names"]),
-        ({"supervisor": ["../other"]}, ["sweep.supervisor", "'../other'"]),
+        ({"supervisor": ["other one"]}, ["sweep.supervisor", "'other one'"]),
+        ({"images.folder": ["a/b", "a-b"]}, ["sweep.images.folder", "no duplicates"]),
         ({"capture.sensor.gain": [1, 16]}, ["sweep.capture.sensor.gain", "adds a sensor; also give `colour`"]),
     ],
 )
@@ -70,6 +71,11 @@ def test_an_impossible_grid_is_refused(sweep, words):
     with pytest.raises(InputError) as caught:
         at_points(parse(swept_lens(**sweep)))
     assert all(word in str(caught.value) for word in words) and "\n" not in str(caught.value)
+
+
+def test_slashes_of_a_path_are_hyphens_in_its_folder():
+    (study,) = at_points(parse(swept_lens(**{"images.folder": ["data/mine"]})))
+    assert study.name == "tiny/images.folder=data-mine" and study.images.folder == Path("data/mine")
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from pydantic import AfterValidator
 
 _MOST = 1000  # points, each with a folder of its own
 _FIXED = ("format", "name", "sweep")  # the same at all points
-_VALUE = re.compile(r"[\w.+-]+")  # as part of a folder's name
+_VALUE = re.compile(r"[\w./+-]+")  # as part of a folder's name, in which slashes are hyphens
 
 
 def _check(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
@@ -20,7 +20,7 @@ def _check(sweep: dict[str, tuple[Any, ...]]) -> dict[str, tuple[Any, ...]]:
             raise ValueError(f"sweep.{key}: each method has other keys; expected several designs in `designs`")
         for value in values:
             if not isinstance(value, bool | int | float | str) or not _VALUE.fullmatch(str(value)):
-                raise ValueError(f"sweep.{key}: expected numbers, names, true or false, found {value!r}")
+                raise ValueError(f"sweep.{key}: expected numbers, names, paths, true or false, found {value!r}")
         if not values or min(len(set(values)), len(set(map(_word, values)))) < len(values):
             raise ValueError(f"sweep.{key} = {list(values)}: expected at least one value, and no duplicates")
     if (count := math.prod(map(len, sweep.values()))) > _MOST:
@@ -41,4 +41,4 @@ def points(sweep: Sweep) -> dict[str, dict[str, Any]]:
 
 
 def _word(value: Any) -> str:
-    return str(value).lower() if isinstance(value, bool) else str(value)
+    return str(value).lower() if isinstance(value, bool) else str(value).replace("/", "-")
