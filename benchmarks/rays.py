@@ -1,15 +1,17 @@
-"""Rays and PSFs through a phone lens: this tracer compared with Optiland's, on the same rays and one thread.
+"""Rays and PSFs through a phone lens: this tracer compared with Optiland's and batoid's, on the same rays and one thread.
 
     python benchmarks/rays.py [--rounds 15] [--save rays]
 
-Without Optiland (pip install optiland) only our times are printed. Optiland runs by the fastest calls that we know: one
-bundle of rays with a wavelength each, traced by `surfaces.trace`, with parameters updated as its optimizer does.
+A program that is not installed (pip install optiland batoid) is left out. Optiland runs by the fastest calls that we
+know: one bundle of rays with a wavelength each, traced by `surfaces.trace`, with parameters updated as its optimizer
+does. batoid has double precision and no gradients.
 """
 
 import math
 import statistics
 import warnings
 from collections.abc import Callable
+from importlib.util import find_spec
 
 import torch
 from ray_floor import floor
@@ -206,40 +208,69 @@ def optilands(precision: str, train: int, evaluate: int) -> dict[str, Callable[[
     return {"trace, forward and backward": spot, "trace, forward": forward}
 
 
+def batoids(precision: str, train: int, evaluate: int) -> dict[str, Callable[[], object]]:
+    """The forward load in batoid, a bundle of each wavelength."""
+    import batoid
+
+    if precision != "float64":
+        return {}
+    lenses, z = [], 0.0
+    for colour in range(len(WAVELENGTHS)):
+        parts, z, before = [], 0.0, 1.0
+        for c, k, thickness, indices, alpha in SURFACES[1:]:
+            glasses = {"inMedium": batoid.ConstMedium(before), "outMedium": batoid.ConstMedium(indices[colour])}
+            surface, place = batoid.Asphere(1 / c, k, list(alpha)), batoid.CoordSys(origin=[0, 0, z])
+            parts.append(batoid.RefractiveInterface(surface, name=str(z), coordSys=place, **glasses))
+            z, before = z + thickness, indices[colour]
+        place = batoid.CoordSys(origin=[0, 0, z])
+        lenses.append(batoid.CompoundOptic([*parts, batoid.Detector(batoid.Plane(), name="image", coordSys=place)]))
+    rays = collimated_rays(evaluate, torch.float64)
+    starts = [
+        [getattr(rays, name)[:, colour].flatten().numpy().copy() for name in ("x", "y", "z", "l", "m", "n")]
+        for colour in range(len(WAVELENGTHS))
+    ]
+
+    def forward() -> tuple[Tensor, Tensor]:
+        ends = [lens.trace(batoid.RayVector(*start)) for lens, start in zip(lenses, starts, strict=True)]
+        shape = (len(WAVELENGTHS), len(FIELDS_DEG), evaluate)
+        return tuple(
+            torch.stack([torch.from_numpy(v.copy()) for v in values]).reshape(shape).transpose(0, 1).flatten()
+            for values in ([end.x for end in ends], [end.y for end in ends])
+        )
+
+    return {"trace, forward": forward}
+
+
 def main(argv: list[str] | None = None) -> None:
     parser = arguments(__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=15)
     options = parser.parse_args(argv)
     train, evaluate = (16, 32) if options.tiny else (256, 4096)
     torch.ones(7_000_000)  # as after any step of a design: the allocator has learned to keep freed memory
-    try:
-        import optiland  # noqa: F401
-
-        warnings.filterwarnings("ignore")
-        peer = optilands
-    except ImportError:
-        peer = None
+    warnings.filterwarnings("ignore")
+    peers = {"Optiland": optilands, "batoid": batoids}
+    peers = {name: loads for name, loads in peers.items() if find_spec(name.lower())}
     rows = []
     for precision in ("float32", "float64"):
         work = ours(getattr(torch, precision), train, evaluate)
-        other = peer(precision, train, evaluate) if peer else {}
-        if other:  # the same image
-            for load in other:
-                for mine, theirs in zip(work[load](), other[load](), strict=True):
+        others = {name: loads(precision, train, evaluate) for name, loads in peers.items()}
+        for loads in others.values():  # the same image
+            for load, function in loads.items():
+                for mine, theirs in zip(work[load](), function(), strict=True):
                     torch.testing.assert_close(mine.flatten(), theirs, rtol=0, atol=1e-5)
         for name, function in work.items():
-            versus = other.get(name)
-            label = "Optiland"
+            versus = {peer: loads[name] for peer, loads in others.items() if name in loads}
             if name.startswith("PSFs"):
-                versus, label = work["trace, forward and backward"], "trace alone"
-            times = alternate({"ours": function} | ({"other": versus} if versus else {}), options.rounds, _CALLS)
-            cells = [spread(times["ours"], 1e3)]
-            cells += [label, spread(times["other"], 1e3), ratio(times["other"], times["ours"])] if versus else ["–"] * 3
+                versus = {"trace alone": work["trace, forward and backward"]}
+            times = alternate({"ours": function} | versus, options.rounds, _CALLS)
             backward = name != "trace, forward"
             rays = 27 * (train if backward else evaluate)
             least = floor(getattr(torch, precision), rays, ASPHERES)[backward]
             speeds = (rays * ASPHERES / seconds for seconds in (statistics.median(times["ours"]), least))
-            rows.append((name, precision, *cells, f"{1e3 * least:.2g}", *(f"{speed:.2g}" for speed in speeds)))
+            ours_cells = f"{1e3 * least:.2g}", *(f"{speed:.2g}" for speed in speeds)
+            for peer in versus or ["–"]:
+                cells = (spread(times[peer], 1e3), ratio(times[peer], times["ours"])) if versus else ("–", "–")
+                rows.append((name, precision, spread(times["ours"], 1e3), peer, *cells, *ours_cells))
     columns = ("load", "precision", "ours [ms]", "against", "its time [ms]", "ratio", "floor of the rays [ms]")
     columns += ("rays x aspheres per second", "at the floor")
     report("Rays and PSFs, 9 fields x 3 colours", columns, rows, options.save)
