@@ -1,4 +1,4 @@
-"""Rays and PSFs through a phone lens: this tracer compared with Optiland's and batoid's, on the same rays and one thread.
+"""Rays and PSFs through a phone lens: this tracer compared with Optiland's and batoid's, same rays, one thread.
 
     python benchmarks/rays.py [--rounds 15] [--save rays]
 

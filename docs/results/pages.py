@@ -105,15 +105,15 @@ def answer(elements: str, folders: Folders) -> pandas.DataFrame:
         frozen, jointly = ((folder, f"task, {how}") for how in ("from flat plates", "network trained jointly"))
         best = gains.loc[frozen, "accuracy"] - gains.loc[frozen, "difference"]
         accuracies = {
-            "least squares": first.loc[folder, "accuracy"],
-            "image quality": best,
-            "frozen network": gains.loc[frozen, "accuracy"],
+            "by least squares": first.loc[folder, "accuracy"],
+            "for image quality": best,
+            "by a frozen network": gains.loc[frozen, "accuracy"],
         }
         cells = {column: f"{value:.1f}" for column, value in accuracies.items()}
         for column, key in {"its gain": frozen, "gain of joint training": jointly}.items():
             cells[column] = _interval(gains.loc[key]) if key in gains.index else ""
         table[heading] = cells
-    return pandas.DataFrame(table).T.rename_axis("lenses designed for").rename_axis(columns=None)
+    return pandas.DataFrame(table).T.rename_axis("measured on; lenses designed ...").rename_axis(columns=None)
 
 
 def _decomposition() -> pandas.DataFrame:

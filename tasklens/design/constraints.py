@@ -1,4 +1,8 @@
-"""Limits of designs and their margins; a negative margin is a violation."""
+"""Limits of designs and their margins; a negative margin is a violation.
+
+A new limit has a key in `settings.specification`, its margin here, its derivative in `linear_limits` in the same order,
+and, if it scales with the lens, its name in `from_lens`.
+"""
 
 import math
 from collections.abc import Mapping

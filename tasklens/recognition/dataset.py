@@ -1,4 +1,4 @@
-"""Data sets of labelled uint8 images, rendered or converted from folders of photographs."""
+"""Labelled uint8 images, rendered or from folders: for training, for the choice of lenses (minival), and for tests."""
 
 import json
 from collections.abc import Mapping

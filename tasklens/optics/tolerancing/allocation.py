@@ -1,4 +1,4 @@
-"""Allocation of tolerances to the errors of a lens: loose for errors with little effect; most lenses must be good."""
+"""Widest tolerances for a drawing: loose for errors with little effect; most lenses must be good."""
 
 from collections.abc import Callable, Sequence
 
