@@ -33,9 +33,10 @@ def main(arguments: list[str] | None = None) -> None:
             words = {name: f"{value:.1f}" for name, value in numbers.items()}
             jobs[folder.name, rule] = {"study": folder.name, "rule": rule} | words
         run = json.loads((folder / "run.json").read_text())
-        if all(job["seconds"] is not None for job in run["jobs"].values()):
-            started = min(job["started"] for job in run["jobs"].values())
-            minutes = (max(job["started"] + job["seconds"] for job in run["jobs"].values()) - started) / 60
+        done = [job for job in run["jobs"].values() if job["state"] == "done" and job["started"] is not None]
+        if done and len(done) == len(run["jobs"]):
+            ends = [job["started"] + job["seconds"] for job in done]
+            minutes = (max(ends) - min(job["started"] for job in done)) / 60
             row = {"minutes": f"{minutes:.0f}", "cores": run["cores"], "per": "", "commit": options.commit}
             times[(folder.name,)] = {"study": folder.name} | row
     write(options.table, jobs)

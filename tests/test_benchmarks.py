@@ -57,7 +57,8 @@ def test_durations_are_collected_by_study_and_rule(tmp_path):
     table.write_text("study,rule,seconds,longest_s,memory_mb\nmine,design,60.0,90.0,1000.0\nother,psf,1.0,1.0,1.0\n")
     times = tmp_path / "times.csv"
     times.write_text("study,minutes,cores,per,commit\nother,3,2,seed,a\n")
-    jobs = {"a": {"started": 60.0, "seconds": 2.0}, "b": {"started": 61.0, "seconds": 239.0}}
+    done = {"state": "done", "started": 60.0}
+    jobs = {"a": {**done, "seconds": 2.0}, "b": {**done, "seconds": 240.0}}
     (tmp_path / "mine/run.json").write_text(json.dumps({"cores": 2, "jobs": jobs}))
     options = ["--table", str(table), "--times", str(times), "--commit", "b"]
     importlib.import_module("durations").main([str(tmp_path / "mine"), *options])

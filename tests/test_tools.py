@@ -42,8 +42,12 @@ def test_sets_of_classes(tmp_path, data_sets):
 def test_what_cannot_be_a_set_is_named(tmp_path, data_sets, options, words):
     with pytest.raises(SystemExit, match=words):
         main([*data_sets, "-o", str(tmp_path / "sets"), *options])
+    for other, reason in ((data_sets[0], "the same name"), (str(tmp_path), "train: no such folder")):
+        with pytest.raises(SystemExit, match=reason):
+            main([data_sets[0], other, "-o", str(tmp_path / "sets")])
+    Path(data_sets[1], "train/n4").rename(Path(data_sets[1], "train/n0"))
     with pytest.raises(SystemExit, match="class of two data sets"):
-        main([data_sets[0], data_sets[0], "-o", str(tmp_path / "sets")])
+        main([*data_sets, "-o", str(tmp_path / "sets")])
     assert not (tmp_path / "sets").exists()
 
 

@@ -16,8 +16,14 @@ def class_sets(data_sets: Sequence[Path], test: str, mixed: int, seed: int) -> d
     """Return the folders train/<class> of each set, by its name.
 
     Raises:
-        SystemExit: a class has no test photographs, two data sets share a class, or the number of sets is odd.
+        SystemExit: a data set has no train folder, or a class no test photographs; two data sets share a name or a
+            class; or the number of mixed sets is odd.
     """
+    for folder in data_sets:
+        if not (folder / "train").is_dir():
+            raise SystemExit(f"{folder / 'train'}: no such folder; expected photographs train/<class>/*")
+    if len({folder.name for folder in data_sets}) < len(data_sets):
+        raise SystemExit("two data sets have the same name; rename a folder")
     alone = [sorted(path for path in (folder / "train").iterdir() if path.is_dir()) for folder in data_sets]
     classes = [path for paths in alone for path in paths]
     names = [path.name for path in classes]
@@ -38,7 +44,7 @@ def class_sets(data_sets: Sequence[Path], test: str, mixed: int, seed: int) -> d
 
 
 def link(classes: Sequence[Path], test: str, each: int | None, output: Path) -> None:
-    """Write output/train/<class> and output/val/<class> with links to photographs, at most `each` of the first."""
+    """Write links to the first `each` training photographs of each class, and to all its test photographs."""
     for source in classes:
         for split, folder, most in (("train", source, each), ("val", source.parents[1] / test / source.name, None)):
             target = output / split / source.name

@@ -154,7 +154,8 @@ def duration(study: str) -> str:
     long = row["minutes"] >= 90
     time = f"{row['minutes'] / 60:.1f} hours" if long else f"{row['minutes']:.0f} minutes"
     per = f" a {row['per']}" if row["per"] else ""
-    return f"{time}{per}, {'one core' if row['cores'] == 1 else 'two cores'}"
+    cores = {1: "one core", 2: "two cores"}.get(row["cores"], f"{row['cores']} cores")
+    return f"{time}{per}, {cores}"
 
 
 KINDS = {"accuracies": accuracies, "gains": gains, "ablation": ablation, "steps": steps, "answer": answer}

@@ -28,7 +28,7 @@ from tasklens.settings.tolerance_settings import Grade
 _PUPIL = (6, 12)  # rings and arms for the relative illumination; within 1e-5 for half of the published lenses
 VALIDATION_IMAGES = slice(48)  # images in fixed order; a batch of 8 photographs has losses of 0.1 to 2 for one lens
 SELECTION_IMAGES = slice(-192, None)  # other images, if there are enough: 1000 steps overfit the 48
-_ENOUGH = 1000  # dataset size from which batches exclude the two above
+_ENOUGH = 800  # dataset size from which batches exclude the two above
 VALIDATION_RAYS = 1024  # rays per field and colour
 _VALIDATION_BUILT = 8  # number of built lenses, if the design has a tolerance grade
 _VALIDATION_SEED = 9001  # added to the seed: other lenses than reported, other images than in the first steps

@@ -68,6 +68,8 @@ class LinearModel:
         curvature = weight * self.limits.T @ self.limits
         slope = gradient + weight * self.limits.T @ self.violation
 
+        if not (regular.isfinite().all() and curvature.isfinite().all()):
+            return torch.full_like(slope, torch.nan)  # the descent ends
         # In the basis in which `regular` is 1 and `curvature` is diagonal, a step is a division for each mu.
         eigenvalues, basis = eigh(curvature.numpy(), regular.numpy())
         eigenvalues = eigenvalues.clip(min=0.0)  # rounding

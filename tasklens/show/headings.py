@@ -166,7 +166,7 @@ BY_FIELD = {  # figures of a lens at its fields; those with a meaning are shown 
     "distortion_percent": Heading("distortion", "%", ".2f", meaning="distortion [%]"),
     "focus_tangential_um": Heading("focus T", "um", ".1f"),
     "focus_sagittal_um": Heading("focus S", "um", ".1f"),
-    "relative_illumination": Heading("rel. illum.", "", ".2f", meaning="relative illumination"),
+    "relative_illumination": Heading("rel. illum.", "", ".3f", meaning="relative illumination"),
 }
 
 

@@ -10,6 +10,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 
+_NUMBERS = ("curvature", "conic", "alpha", "thickness", "semi_diameter")  # in double precision, for differences
 _SPREAD = 1.5  # largest ratio of the image area of a ray and its median
 _STEP = 1e-5  # of central differences, in units of focal length and pupil radius: errors below 1e-9
 _DIRECTIONS = torch.tensor([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], dtype=torch.float64)
@@ -34,7 +35,9 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
         rings, arms: pupil points on the half pupil. With the defaults, the error is at rounding for a sharp bundle,
             and a few 1e-3 for a vignetted one.
     """
-    lens, turned = replace(lens, pose=None), view.in_reference().in_meridian()
+    dtype, turned = lens.dtype, view.in_reference().in_meridian()
+    numbers = {name: getattr(lens, name).double() for name in _NUMBERS}
+    lens = replace(lens, pose=None, **numbers)
     with_axis = replace(turned, fields=torch.cat([torch.zeros_like(turned.fields[:1]), turned.fields]))
     points, weights = gauss_quadrature(rings, arms)  # half pupil x > 0: fields on y are symmetric in x
     indices = lens.refractive_indices(with_axis.wavelengths_um)
@@ -47,10 +50,11 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
     shifted = torch.cat([fields, *(fields + view.efl * step for step in steps)])
     start = launch_fields(lens, replace(with_axis, fields=shifted), points)
     end = trace(lens, start, indices)
-    arrives = end.valid[: len(fields), 0]
+    arrives = end.valid[:, 0].unflatten(0, (5, -1)).all(0)
     near = torch.stack([start.x, start.y, start.l, start.m, end.x, end.y], -1)[len(fields) :, 0]
     fx, fy = along(near.unflatten(0, (4, -1)))
     rays = launch_fields(lens, with_axis, torch.cat([points + step for step in steps]))
+    arrives &= rays.valid[:, 0].unflatten(1, (4, -1)).all(1)
     near = torch.stack([rays.x, rays.y, rays.l, rays.m], -1)[:, 0]
     px, py = along(near.unflatten(1, (4, -1)).transpose(0, 1))
     etendue = torch.linalg.det(torch.stack([fx[..., :4], fy[..., :4], px, py], -1)).abs()
@@ -59,7 +63,8 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
     median = _median(area, light)
     area = area.clamp(median / _SPREAD, median * _SPREAD)
     density = torch.where((light > 0) & (area > 0), light / torch.where(area > 0, area, 1.0), 0.0).sum(-1)
-    return torch.where(density[0] > 0, density[1:] / torch.where(density[0] > 0, density[0], 1.0), 0.0)
+    relative = torch.where(density[0] > 0, density[1:] / torch.where(density[0] > 0, density[0], 1.0), 0.0)
+    return relative.to(dtype)
 
 
 def _median(values: Tensor, weights: Tensor) -> Tensor:

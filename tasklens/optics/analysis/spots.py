@@ -65,9 +65,9 @@ def chief_points(lens: Lens, view: View) -> Tensor:
 
 
 def trace_with_chief(lens: Lens, view: View, pupil: Tensor) -> tuple[Rays, Tensor]:
-    """Return the rays of `trace_fields` and the points (F, 2) of `chief_points`, by one trace if no aperture is clear.
+    """Return the rays of `trace_fields` and the points (F, 2) of `chief_points`.
 
-    The chief ray is then one more ray of each bundle.
+    If no surface but the stop has a clear aperture, the chief ray is one more ray of each bundle.
     """
     if not bool(lens.semi_diameter.isinf()[torch.arange(len(lens.media)) != lens.stop].all()):
         return trace_fields(lens, view, pupil), chief_points(lens, view)
