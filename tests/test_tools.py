@@ -1,18 +1,21 @@
 """Programs that prepare data: sets of classes as links, and published networks read from compressed files."""
 
 import sys
+from functools import partial
 from pathlib import Path
 
 import numpy
 import pytest
+import timm
 import torch
 from examples import write
 from torch import nn
 
 sys.path.append(str(Path(__file__).parents[1] / "tools"))
+import convert_networks
 from class_sets import main
 from convert_networks import squeezenet_state
-from published_networks import squeezenet
+from published_networks import mobilenet_v1, squeezenet
 
 
 @pytest.fixture
@@ -49,6 +52,34 @@ def test_what_cannot_be_a_set_is_named(tmp_path, data_sets, options, words):
     with pytest.raises(SystemExit, match="class of two data sets"):
         main([*data_sets, "-o", str(tmp_path / "sets")])
     assert not (tmp_path / "sets").exists()
+
+
+@pytest.mark.parametrize("name", ["mobilenet_v1", "mobilenet_v2"])
+def test_a_quantised_network_is_read(monkeypatch, name):
+    """Layers with folded batch norms, in the order and layout of TFLite: the answers of the network before."""
+    torch.manual_seed(0)
+    v2 = partial(timm.create_model, "mobilenetv2_100", pad_type="same")
+    built = {"mobilenet_v1": lambda: mobilenet_v1()[1], "mobilenet_v2": v2}
+    network = built[name]().eval()
+    layers, convolutions = [], [module for module in network.modules() if isinstance(module, nn.Conv2d)]
+    norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
+    with torch.no_grad():
+        for convolution, norm in zip(convolutions, norms, strict=True):
+            nn.init.uniform_(norm.running_var, 0.5, 2)
+            nn.init.normal_(norm.bias, std=0.1)
+            factor = norm.weight / (norm.running_var + norm.eps).sqrt()
+            weight = convolution.weight * factor[:, None, None, None]
+            order = (1, 2, 3, 0) if convolution.groups > 1 else (0, 2, 3, 1)
+            layers.append((weight.permute(order), norm.bias - norm.running_mean * factor))
+        last = network.classifier
+        layers.append((torch.cat([last.weight[:1], last.weight])[:, None, None], torch.cat([last.bias[:1], last.bias])))
+    monkeypatch.setattr(convert_networks, "tflite_layers", lambda file: iter(layers))
+    read = mobilenet_v1() if name == "mobilenet_v1" else built[name]()
+    read.load_state_dict(convert_networks.NETWORKS[name](Path("none.tflite")))
+    images = torch.rand(2, 3, 96, 96)
+    with torch.no_grad():
+        actual = read.eval()(images if name == "mobilenet_v1" else 2 * images - 1)
+        torch.testing.assert_close(actual, network(2 * images - 1), rtol=1e-4, atol=1e-4)
 
 
 def test_a_compressed_network_is_read(tmp_path):

@@ -1,9 +1,10 @@
 """Convert published weights, quantised or compressed, to files that a study reads.
 
     python tools/convert_networks.py mobilenet_v1 mobilenet_v1_0.75_192_quant.tflite mobilenet_v1.safetensors
+    python tools/convert_networks.py mobilenet_v2 mobilenet_v2_1.0_224_quant.tflite mobilenet_v2.safetensors
     python tools/convert_networks.py squeezenet compressed_SqueezeNet.net squeezenet.safetensors
 
-The first is of google-coral/test_data and needs `pip install tflite`; the second is of
+The first two are of google-coral/test_data and need `pip install tflite`; the third is of
 songhan/SqueezeNet-Deep-Compression (Han, Mao and Dally 2016, https://arxiv.org/abs/1510.00149).
 """
 
@@ -12,6 +13,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy
+import timm
 import torch
 from published_networks import mobilenet_v1, squeezenet
 from safetensors.torch import save_file
@@ -21,29 +23,36 @@ _CODES = 256  # weights that a layer of the compressed file shares
 _MEAN_BGR = (104.0, 117.0, 123.0)  # of the pixels that SqueezeNet was trained with
 
 
-def mobilenet_v1_state(file: Path) -> dict[str, Tensor]:
-    """Return the state of `mobilenet_v1` from a TFLite file: dequantised, its batch norms the identity but for biases.
+def mobilenet_state(file: Path, network: nn.Module) -> dict[str, Tensor]:
+    """Return the state of a MobileNet of timm from a TFLite file: dequantised, batch norms the identity but for biases.
 
     A weight is scale (q - zero point). The first of the 1001 outputs, the background, is left out.
     """
     layers = tflite_layers(file)
-    network = mobilenet_v1()[1].eval()
-    for module in network.modules():
-        if isinstance(module, nn.BatchNorm2d):
-            nn.init.constant_(module.running_var, 1 - module.eps)  # divides by the square root of 1
-    stem = [(network.conv_stem, network.bn1)]
-    blocks = (block for stage in network.blocks for block in stage)
-    pairs = (pair for block in blocks for pair in ((block.conv_dw, block.bn1), (block.conv_pw, block.bn2)))
+    convolutions = [module for module in network.modules() if isinstance(module, nn.Conv2d)]  # as they run
+    norms = [module for module in network.modules() if isinstance(module, nn.BatchNorm2d)]
     with torch.no_grad():
-        for convolution, norm in [*stem, *pairs]:
+        for convolution, norm in zip(convolutions, norms, strict=True):
             weight, bias = next(layers)
             depthwise = convolution.groups > 1
             convolution.weight.copy_(weight.permute(3, 0, 1, 2) if depthwise else weight.permute(0, 3, 1, 2))
             norm.bias.copy_(bias)
+            norm.running_var.fill_(1 - norm.eps)  # it divides by the square root of 1
         weight, bias = next(layers)
         network.classifier.weight.copy_(weight[1:, 0, 0])
         network.classifier.bias.copy_(bias[1:])
-    return {f"1.{name}": value for name, value in network.state_dict().items()}  # behind the normalisation
+    return dict(network.state_dict())
+
+
+def mobilenet_v1_state(file: Path) -> dict[str, Tensor]:
+    """Return the state of `mobilenet_v1`."""
+    state = mobilenet_state(file, mobilenet_v1()[1])
+    return {f"1.{name}": value for name, value in state.items()}  # behind the normalisation
+
+
+def mobilenet_v2_state(file: Path) -> dict[str, Tensor]:
+    """Return the state of timm's `mobilenetv2_100` with `pad_type: same`, for inputs in [-1, 1]."""
+    return mobilenet_state(file, timm.create_model("mobilenetv2_100", pad_type="same"))
 
 
 def tflite_layers(file: Path) -> Iterator[tuple[Tensor, Tensor]]:
@@ -100,6 +109,7 @@ def squeezenet_state(file: Path) -> dict[str, Tensor]:
 
 NETWORKS: dict[str, Callable[[Path], dict[str, Tensor]]] = {
     "mobilenet_v1": mobilenet_v1_state,
+    "mobilenet_v2": mobilenet_v2_state,
     "squeezenet": squeezenet_state,
 }
 
