@@ -67,7 +67,7 @@ class _Convolution(torch.autograd.Function):
             at_images = torch.zeros_like(images) if ctx.needs_input_grad[0] else None
             at_mean, at_psf = torch.zeros_like(images[..., 0, 0]), torch.zeros_like(psf)
             conjugate = images.conj().resolve_conj()
-            padded = torch.zeros_like(images[_colours(images, runs)[0]])
+            padded = torch.zeros_like(images[_colours(images, runs)[0], : _longest(runs)])
             window = padded[_window(psf, shape)]
             for field, colours, blocks in _schedule(runs, images):
                 total = torch.zeros_like(padded[:, 0])
@@ -92,21 +92,25 @@ def _window(psf: Tensor, shape: tuple[int, int]) -> tuple[Any, ...]:
     return ..., *(slice(k - 1, k - 1 + side) for k, side in zip(psf.shape[-2:], shape, strict=True))
 
 
+def _longest(runs: list[Run]) -> int:
+    """Return the largest number of pairs of a run."""
+    return max(run.stop - run.start for run in runs)
+
+
 def _colours(planes: Tensor, runs: list[Run]) -> list[slice]:
     """Return the colours to transform at once: all three if they fit with every run, for few calls; else one."""
-    longest = max(run.stop - run.start for run in runs)
-    fit = planes.device.type == "cuda" or 3 * longest <= _at_once(planes)
+    fit = planes.device.type == "cuda" or 3 * _longest(runs) <= _at_once(planes)
     return [slice(0, 3)] if fit else [slice(colour, colour + 1) for colour in range(3)]
 
 
 def _schedule(runs: list[Run], images: Tensor) -> Iterator[tuple[int, slice, list[tuple[slice, slice]]]]:
     """Yield field, colours, and blocks: slices of pairs to transform at once, and slices of their captures."""
-    size = _at_once(images)
+    size, together = _at_once(images), _colours(images, runs)
     begin = 0
     for field, start, stop in runs:
         ends = [(first, min(first + size, stop)) for first in range(start, stop, size)]
         blocks = [(slice(a, b), slice(begin + a - start, begin + b - start)) for a, b in ends]
-        for colours in _colours(images, runs):
+        for colours in together:
             yield field, colours, blocks
         begin += stop - start
 
