@@ -17,6 +17,7 @@ Source: Born and Wolf, Principles of Optics (1999), section 8.8; Stamnes, Waves 
 import math
 from dataclasses import dataclass, replace
 
+import finufft
 import torch
 from torch import Tensor
 
@@ -30,15 +31,17 @@ _LEAST_SAMPLES = 4  # samples of the irradiance per pixel and direction
 _SHIFT = 1e-5  # change of a pupil point in the differences for J
 _MARGIN = 8.0  # distance from the points beyond which rays are ignored [wavelength / aperture]
 _LEAST_RINGS = 24  # least number of rings of pupil points
-_BLOCK = 4096  # rays processed at a time, to limit memory
+_ACCURACY = 1e-6  # of the Fourier transform, relative to the sum of the waves
 _COARSE = 6  # rings of a first trace that locates the rays
 
 
 def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: Tensor) -> Tensor:
     """Compute the irradiance (Y, X) of a point at one field and wavelength [1/mm^2]; its integral is the energy.
 
+    The sum of plane waves at equally spaced points is a Fourier transform from unequally spaced directions.
+
     Args:
-        x, y: (X,) and (Y,) coordinates on the image plane [mm].
+        x, y: (X,) and (Y,) equally spaced coordinates on the image plane [mm].
 
     Returns:
         Irradiance for a total energy of 1 of the launched rays; the energy of lost rays is missing.
@@ -55,12 +58,14 @@ def irradiance(lens: Lens, view: View, field: int, channel: int, x: Tensor, y: T
     rings = max(_LEAST_RINGS, math.ceil(1.2 * math.pi * cycles))
     waves = _waves(lens, view, field, channel, rings).near(x, y, beyond)
     amplitude = torch.sqrt(math.pi * waves.determinant) * waves.weight / wavelength
-    field_there = torch.zeros(len(y), len(x), dtype=torch.complex64)
-    for block in torch.arange(len(amplitude)).split(_BLOCK):
-        along_x = _turn(x[:, None] * waves.l[block] / wavelength) * amplitude[block].float()
-        along_y = _turn((y[:, None] * waves.m[block] + waves.length[block]) / wavelength)
-        field_there += along_y @ along_x.T
-    return field_there.abs().square().double()
+    (x0, dx), (y0, dy) = ((v[len(v) // 2], v[1] - v[0] if len(v) > 1 else 0.0) for v in (x, y))
+    phase = _angle((waves.l * x0 + waves.m * y0 + waves.length) / wavelength)
+    steps = (_angle(waves.m * dy / wavelength), _angle(waves.l * dx / wavelength))
+    strength = torch.polar(amplitude, phase).numpy()
+    field_there = finufft.nufft2d1(
+        *(step.numpy() for step in steps), strength, (len(y), len(x)), isign=1, eps=_ACCURACY, nthreads=1
+    )
+    return torch.from_numpy(field_there).abs().square()
 
 
 def diffraction_psf(lens: Lens, view: View, centre: Tensor) -> Tensor:
@@ -149,7 +154,6 @@ def _waves(lens: Lens, view: View, field: int, channel: int, rings: int) -> _Wav
     return _Waves(x, y, l[0], m[0], length, determinant.abs(), weight).select(valid)
 
 
-def _turn(cycles: Tensor) -> Tensor:
-    """Compute exp(2 pi i cycles), in single precision from the fraction of a cycle."""
-    angle = (2 * math.pi * (cycles - cycles.round())).float()
-    return torch.complex(angle.cos(), angle.sin())
+def _angle(cycles: Tensor) -> Tensor:
+    """Return angles from -pi to pi [rad]."""
+    return 2 * math.pi * (cycles - cycles.round())
