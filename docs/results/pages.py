@@ -153,6 +153,7 @@ def duration(study: str) -> str:
     row = pandas.read_csv(FOLDER / "times.csv", keep_default_na=False).set_index("study").loc[study]
     long = row["minutes"] >= 90
     time = f"{row['minutes'] / 60:.1f} hours" if long else f"{row['minutes']:.0f} minutes"
+    time = "a minute" if row["minutes"] == 1 else time
     per = f" a {row['per']}" if row["per"] else ""
     cores = {1: "one core", 2: "two cores"}.get(row["cores"], f"{row['cores']} cores")
     return f"{time}{per}, {cores}"
