@@ -19,7 +19,7 @@ def run(*arguments) -> int:
 
 
 def output_of(capsys, *arguments) -> str:
-    """What a command that succeeds prints on standard output."""
+    """Return the standard output of a command that succeeds."""
     assert run(*arguments) == 0
     return capsys.readouterr().out
 

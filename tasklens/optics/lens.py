@@ -1,5 +1,6 @@
 """A lens: surfaces, distances, media and poses."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -211,11 +212,18 @@ class Lens:
         pivots = torch.stack([torch.zeros_like(along), torch.zeros_like(along), along], -1)
         return replace(self, pose=pose.moved(surfaces, decentre, tilt, pivots))
 
+    def double(self) -> "Lens":
+        """Return the lens in double precision, differentiable in the lens."""
+        return self._mapped(Tensor.double)
+
     def detached(self) -> "Lens":
         """Return the lens detached from autograd."""
-        tensors: dict[str, Any] = {k: v.detach() for k, v in vars(self).items() if isinstance(v, Tensor)}
-        pose = self.pose and Pose(self.pose.rotation.detach(), self.pose.position.detach())
-        melt = self.melt and replace(self.melt, shift=self.melt.shift.detach(), spread=self.melt.spread.detach())
+        return self._mapped(Tensor.detach)
+
+    def _mapped(self, change: Callable[[Tensor], Tensor]) -> "Lens":
+        tensors: dict[str, Any] = {k: change(v) for k, v in vars(self).items() if isinstance(v, Tensor)}
+        pose = self.pose and Pose(change(self.pose.rotation), change(self.pose.position))
+        melt = self.melt and replace(self.melt, shift=change(self.melt.shift), spread=change(self.melt.spread))
         return replace(self, **tensors, pose=pose, melt=melt)
 
     def _repr_html_(self) -> str:

@@ -49,8 +49,8 @@ def aim(
     """
     if lens.dtype != torch.float64:  # otherwise rays on the rim would not pass the stop
         pupil = pupil.double() * (1 - _ROUNDING * torch.finfo(lens.dtype).eps)
-    numbers = [getattr(lens, name).double() for name in _NUMBERS]
-    lens = replace(lens, **dict(zip(_NUMBERS, numbers, strict=True)))
+    lens = lens.double()
+    numbers = [getattr(lens, name) for name in _NUMBERS]
     tangents, pupil, indices, entrance_pupil = (v.double() for v in (tangents, pupil, indices, entrance_pupil))
     differentiable = any(_carries_derivative(v) for v in (*numbers, tangents, pupil, indices))
     point, slope, status, lost_at = _Solve.apply(

@@ -10,7 +10,6 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import trace
 from tasklens.optics.view import View
 
-_NUMBERS = ("curvature", "conic", "alpha", "thickness", "semi_diameter")  # in double precision, for differences
 _SPREAD = 1.5  # largest ratio of the image area of a ray and its median
 _STEP = 1e-5  # of central differences, in units of focal length and pupil radius: errors below 1e-9
 _DIRECTIONS = torch.tensor([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], dtype=torch.float64)
@@ -36,8 +35,7 @@ def relative_illumination(lens: Lens, view: View, rings: int = 24, arms: int = 6
             a few 1e-3 for a vignetted one.
     """
     dtype, turned = lens.dtype, view.in_reference().in_meridian()
-    numbers = {name: getattr(lens, name).double() for name in _NUMBERS}
-    lens = replace(lens, pose=None, **numbers)
+    lens = replace(lens, pose=None).double()  # for differences
     with_axis = replace(turned, fields=torch.cat([torch.zeros_like(turned.fields[:1]), turned.fields]))
     points, weights = gauss_quadrature(rings, arms)  # half pupil x > 0: fields on y are symmetric in x
     indices = lens.refractive_indices(with_axis.wavelengths_um)

@@ -1,6 +1,6 @@
-"""Monte Carlo of manufacture: lenses built from a design with random errors, and the widest tolerances that suffice."""
+"""Monte Carlo of manufacture: lenses built from a design with random errors, and whether enough of them are good."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -41,9 +41,14 @@ class MonteCarlo:
         """Draw the errors (count, P) of lenses [fractions of tolerances]."""
         return draw(self.errors, count, seed)
 
-    def enough_are_good(self, draws: Iterable[Tensor], tolerances: Tensor, is_good: Callable[[Lens], bool]) -> bool:
-        """Return whether a fraction `YIELD` of lenses is good, with tolerances (P,) as multiples of the grade's."""
-        draws = list(draws)
+    def enough_are_good(self, draws: Tensor, tolerances: Tensor, is_good: Callable[[Lens], bool]) -> bool:
+        """Return whether a fraction `YIELD` of lenses is good.
+
+        Args:
+            draws: (count, P) errors of the lenses [fractions of tolerances].
+            tolerances: (P,) tolerances as multiples of the grade's.
+            is_good: the test of a built lens.
+        """
         bad = 0
         for fractions in draws:
             bad += not is_good(self.build(tolerances * fractions)[0])
