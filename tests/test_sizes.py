@@ -15,6 +15,7 @@ BUDGETS = {  # by unit and files; the aim of the next version in parentheses
     ("words", "docs/*.md"): 13_200,
     ("words", "docs/results.md"): 1_500,
     ("words", "docs/fidelity.md"): 700,
+    ("words", "docs/results/existing_lenses.md"): 500,
     ("words", "docs/notes/*.md"): 4_000,
     ("words", "CHANGELOG.md"): 800,
 }
