@@ -6,7 +6,6 @@ measurement). The new predictions are compared with the predictions and metrics 
 
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -21,78 +20,49 @@ from tasklens.show.optimality import optimum
 from tasklens.study.report.measurements import MeasurementFiles, Measurements
 from tasklens.study.table_contents import MeasuredKey, TableContents, VerificationContents
 
-Reproduced = Mapping[MeasuredKey, Path]  # predictions
-
 ROUNDING = 1e-6  # tolerance on margins [mm or a fraction]
 DIFFERENT = 1e-3  # largest fraction of captures classified differently; on the same machine it is zero
 
 
-@dataclass(frozen=True)
-class Failure:
-    """A failed check: lens, seed, limit, and the actual value."""
-
-    lens: str
-    seed: str
-    limit: str
-    value: str
-
-    def __str__(self) -> str:
-        return f"{self.lens} seed {self.seed}: {self.limit}: {self.value}"
-
-
-@dataclass(frozen=True)
-class Findings:
-    """Results: failures, violated limits of unconstrained lenses, and numbers of lenses and measurements."""
-
-    failures: list[Failure]
-    unconstrained: list[Failure]
-    lenses: int
-    measurements: int
-
-
 def verify(
-    contents: VerificationContents, measurements: Measurements, reproduced: Reproduced, tables: Mapping[str, Path]
-) -> Findings:
+    contents: VerificationContents,
+    measurements: Measurements,
+    reproduced: Mapping[MeasuredKey, Path],
+    tables: Mapping[str, Path],
+) -> tuple[list[str], list[str]]:
     """Check every lens, measurement and table of a study; a failure does not stop the checks.
 
     Args:
         reproduced: files of the predictions reproduced with the stored weights.
         tables: CSV files by name of the table.
+
+    Returns:
+        Failures, and violated limits of unconstrained lenses: each with lens, seed, limit, and the actual value.
     """
-    failures: list[Failure] = []
-    unconstrained: list[Failure] = []
+    failures: list[str] = []
+    unconstrained: list[str] = []
     for lens, seed in product(contents.lenses, contents.seeds):
-        lens_failures = _lens_failures(lens, seed, measurements.lens_file(lens, seed), contents)
-        (failures if lens in contents.constrained else unconstrained).extend(lens_failures)
-        if lens in contents.with_optimum:
-            failures += _optimum_failures(lens, seed, measurements.lens_file(lens, seed))
+        content = measurements.lens_file(lens, seed)
+        violations = violated_limits(content, contents.efl_mm[lens], contents.efl_tolerance)
+        problems = [f"{limit}: margin {value:.4g}" for limit, value in violations.items()]
+        if "diverged" in content.get("origin", {}):
+            problems.append(f"diverged: {content['origin']['diverged']}")
+        if lens in contents.with_optimum and (test := optimum(content)) is not None and not test.reached:
+            problems.append(f"not converged: a step within the limits lowers the loss: {test}")
+        messages = failures if lens in contents.constrained else unconstrained
+        messages += [f"{lens} seed {seed}: {problem}" for problem in problems]
     accuracy = {}
     for (lens, classifier), seed in product(contents.measured, contents.seeds):
         correct = predictions.read(reproduced[MeasuredKey(lens, classifier, seed)])
         accuracy[lens, classifier, seed] = sum(predictions.accuracy_by_field(correct)) / correct.shape[1]
         failures += [
-            Failure(lens, str(seed), f"{classifier}: {what}", f"{share:.4f} of the captures differ")
+            f"{lens} seed {seed}: {classifier}: {what}: {share:.4f} of the captures differ"
             for what, share in differences(correct, lens, classifier, seed, measurements).items()
             if not share <= DIFFERENT
         ]
     for table in contents.tables:
         failures += _table_failures(table, accuracy, tables[table.name])
-    return Findings(failures, unconstrained, len(contents.seeds) * len(contents.lenses), len(accuracy))
-
-
-def _lens_failures(lens: str, seed: int, content: Mapping[str, Any], contents: VerificationContents) -> list[Failure]:
-    violations = violated_limits(content, contents.efl_mm[lens], contents.efl_tolerance)
-    failures = [Failure(lens, str(seed), limit, f"margin {value:.4g}") for limit, value in violations.items()]
-    if "diverged" in content.get("origin", {}):
-        failures.append(Failure(lens, str(seed), "diverged", content["origin"]["diverged"]))
-    return failures
-
-
-def _optimum_failures(lens: str, seed: int, content: Mapping[str, Any]) -> list[Failure]:
-    test = optimum(content)
-    if test is None or test.reached:
-        return []
-    return [Failure(lens, str(seed), "not converged: a step within the limits lowers the loss", str(test))]
+    return failures, unconstrained
 
 
 def violated_limits(content: Mapping[str, Any], efl_mm: float, efl_tolerance: float) -> dict[str, float]:
@@ -125,9 +95,9 @@ def differences(
     }
 
 
-def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], path: Path) -> list[Failure]:
+def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], path: Path) -> list[str]:
     """Return failures for the rows of a table whose accuracy is not reproduced."""
-    failures = []
+    failures, seeds = [], ", ".join(map(str, contents.seeds))
     for row in read_table(path, keep_default_na=False).to_dict("records"):
         sharp = row["elements"] == ""
         lens = SHARP if sharp else f"{row['elements']}-{row['design']}"
@@ -136,7 +106,7 @@ def _table_failures(contents: TableContents, accuracy: Mapping[tuple, float], pa
         reproduced = sum(accuracy[lens, name, seed] for seed in contents.seeds) / len(contents.seeds)
         if not abs(row["accuracy"] - reproduced) <= 100 * DIFFERENT:
             value = f"{row['accuracy']:.2f} % in the table, {reproduced:.2f} % from the weights"
-            failures.append(Failure(lens, ", ".join(map(str, contents.seeds)), f"{name}: {contents.name}", value))
+            failures.append(f"{lens} seed {seeds}: {name}: {contents.name}: {value}")
     return failures
 
 
@@ -155,18 +125,15 @@ def run(
     """
     measurements = Measurements.of(settings, files)
     reproduced_files = dict(zip(settings.measured_keys, reproduced, strict=True))
-    table_names = (contents.name for contents in settings.tables)
-    findings = verify(settings, measurements, reproduced_files, dict(zip(table_names, tables, strict=True)))
-    print(verdicts.read_text(encoding="utf-8"))
-    print(summary(findings))  # all on standard output: Snakemake shows no log under --quiet
-    if findings.failures:
-        print(f"failures, printed above: {len(findings.failures)}", file=sys.stderr)  # for the summary of the run
+    table_files = dict(zip((contents.name for contents in settings.tables), tables, strict=True))
+    failures, unconstrained = verify(settings, measurements, reproduced_files, table_files)
+    print(verdicts.read_text(encoding="utf-8"))  # all on standard output: Snakemake shows no log under --quiet
+    for line in unconstrained:
+        print(f"unconstrained: {line}")
+    for line in failures:
+        print(f"failed: {line}")
+    count = f"{len(settings.lens_keys)} lenses and {len(settings.measured_keys)} measurements: {len(failures)} failures"
+    print(f"Checked {count}.")
+    if failures:
+        print(f"failures, printed above: {len(failures)}", file=sys.stderr)  # for the summary of the run
         raise SystemExit(1)
-
-
-def summary(findings: Findings) -> str:
-    """Return a line per failure (`failed` or `unconstrained`), and a line with the numbers of checks."""
-    lines = [f"unconstrained: {failure}" for failure in findings.unconstrained]
-    lines += [f"failed: {failure}" for failure in findings.failures]
-    count = f"{findings.lenses} lenses and {findings.measurements} measurements: {len(findings.failures)} failures"
-    return "\n".join([*lines, f"Checked {count}."])
