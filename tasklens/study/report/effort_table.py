@@ -8,7 +8,6 @@ import pandas
 from tasklens.runtime import benchmarks as benchmark_files
 from tasklens.show.publish import publish
 from tasklens.study.effort import Efforts
-from tasklens.study.table_contents import LensKey
 
 _NOTE = """\
 Study `{study}`. Lens evaluations are the steps of descents, or the evaluations of least squares, which are fewer if it
@@ -32,24 +31,20 @@ def collect(efforts: Efforts, benchmarks: Sequence[Path]) -> pandas.DataFrame:
     Args:
         benchmarks: benchmark files of the designs in `efforts.lens_keys`.
     """
-    by_key = dict(zip(efforts.lens_keys, map(wall_minutes, benchmarks), strict=True))
-    minutes = {
-        effort.lens: pandas.Series([by_key[LensKey(effort.lens, seed)] for seed in efforts.seeds]).median()
-        for effort in efforts.efforts
-    }
-    tried = {effort.lens: effort.tried for effort in efforts.efforts}
+    by_job = pandas.Series(list(map(wall_minutes, benchmarks)), [lens for lens, _ in efforts.lens_keys], dtype=float)
+    minutes = by_job.groupby(level=0, sort=False).median()
     rows = []
-    for effort in efforts.efforts:
-        elements, _, design = effort.lens.partition("-")
-        all_lenses = (effort.lens, *effort.chosen_from)
+    for lens in efforts.lenses:
+        elements, _, design = lens.partition("-")
+        lenses = [lens, *efforts.chosen_from[lens]]
         rows.append(
             {
                 "elements": elements,
                 "design": design,
-                "evaluations": effort.tried,
-                "wall_minutes": minutes[effort.lens],
-                "evaluations_in_all": sum(tried[lens] for lens in all_lenses),
-                "wall_minutes_in_all": sum(minutes[lens] for lens in all_lenses),
+                "evaluations": efforts.tried[lens],
+                "wall_minutes": minutes[lens],
+                "evaluations_in_all": sum(efforts.tried[other] for other in lenses),
+                "wall_minutes_in_all": sum(minutes[other] for other in lenses),
             }
         )
     return pandas.DataFrame(rows)
