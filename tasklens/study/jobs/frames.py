@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -34,27 +33,6 @@ _RULE = (
     "Last rows: the first test image in file order that the network of {one} recognises halfway to the corner\nbut "
     "that of {other} does not, and the first one vice versa, if there are any"
 )
-
-
-@dataclass(frozen=True)
-class ClassifiedImage:
-    """A test image, and whether the network of each lens recognises it.
-
-    Attributes:
-        title: description of the image.
-        shown: images (3, H, W) by column: the sharp image, and the captures of the lenses at one field.
-        correct: whether each capture is recognised, by column.
-    """
-
-    title: str
-    shown: Mapping[str, Tensor]
-    correct: Mapping[str, bool]
-
-    def caption(self, column: str) -> str:
-        """Return the words above the image of a column."""
-        if column not in self.correct:
-            return self.title
-        return "recognised" if self.correct[column] else "not recognised"
 
 
 def run(
@@ -115,10 +93,11 @@ def _tile(test: ImageDataset, shape: tuple[int, int]) -> Tensor:
 
 def _disagreements(
     settings: FramesJob, files: Mapping[str, tuple[Path, Path]], test: ImageDataset
-) -> list[ClassifiedImage]:
+) -> list[dict[str, tuple[str, Tensor]]]:
     """Return the first image that only the network of the first lens recognises, and the same for the last lens.
 
-    The list is shorter if there is no such image.
+    The list is shorter if there is no such image. An entry has the caption and the image (3, H, W) of each column: the
+    sharp image, and its captures through the lenses at one field.
 
     Args:
         files: PSFs and predictions by lens.
@@ -135,9 +114,11 @@ def _disagreements(
         row = int(only.argmax())
         image, label = only.index[row]
         images, _ = test.batch(torch.tensor([int(image)]))
-        captures = {lens: _single(settings, lens, psf, images, int(image)) for lens, (psf, _) in files.items()}
-        answers = {lens: bool(correct[lens].iloc[row]) for lens in lenses}
-        disagreements.append(ClassifiedImage(f"test image {image}, {label}", {"sharp": images[0], **captures}, answers))
+        shown = {"sharp": (f"test image {image}, {label}", images[0])}
+        for lens, (psf, _) in files.items():
+            caption = "recognised" if correct[lens].iloc[row] else "not recognised"
+            shown[lens] = caption, _single(settings, lens, psf, images, int(image))
+        disagreements.append(shown)
     return disagreements
 
 
@@ -151,15 +132,20 @@ def _single(settings: FramesJob, lens: str, psf: Path, images: Tensor, number: i
 
 
 def draw(
-    path: Path, title: str, frames: Mapping[str, Mapping[str, Tensor]], answered: Sequence[ClassifiedImage], rule: str
+    path: Path,
+    title: str,
+    frames: Mapping[str, Mapping[str, Tensor]],
+    disagreements: Sequence[Mapping[str, tuple[str, Tensor]]],
+    rule: str,
 ) -> None:
     """Draw frames (3, H, W) by name and column with their patches, and single captures below them.
 
     Args:
+        disagreements: captions and single captures by column.
         rule: how the single captures were chosen.
     """
     columns = list(next(iter(frames.values())))
-    ratios = [3.2, 2.0] * len(frames) + [2.2] * len(answered)
+    ratios = [3.2, 2.0] * len(frames) + [2.2] * len(disagreements)
     figure = Figure(figsize=(5.2 * len(columns), 1.02 * sum(ratios)), layout="constrained")
     figure.suptitle(title, weight="bold")
     parts = iter(figure.subfigures(len(ratios), 1, squeeze=False, height_ratios=ratios)[:, 0])
@@ -176,9 +162,10 @@ def draw(
             _show(axes, captures[column][:, top : top + _ZOOM[0], left : left + _ZOOM[1]], where)
             axes.spines[:].set_color(colour)
             axes.spines[:].set_linewidth(2)
-    for entry in answered:
+    for disagreement in disagreements:
         for axes, column in zip(next(parts).subplots(1, len(columns)), columns, strict=True):
-            _show(axes, entry.shown[column], f"{column}: {entry.caption(column)}")
+            caption, image = disagreement[column]
+            _show(axes, image, f"{column}: {caption}")
     figure.supxlabel(rule, fontsize=9)
     save(figure, [path], _DPI)
 
