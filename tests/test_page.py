@@ -170,7 +170,7 @@ TABLE = pandas.DataFrame(
 
 def cells(table: page_tables.Table, heading: str, paper: bool = False) -> list[page_tables.Cell]:
     """The cells of a column."""
-    index = [(column.words, column.paper) for column in table.columns].index((heading, paper))
+    index = [(column.heading.words, column.paper) for column in table.columns].index((heading, paper))
     return [row[index] for row in table.rows]
 
 
@@ -222,8 +222,8 @@ def test_a_class_may_be_called_by_a_number(tmp_path):
     rows = "3,7,sharp,,False,a,7,90.0,\n3,7,lens,axis,False,a,7,80.0,20\n3,7,lens,axis,False,b,007,80.0,20\n"
     write(tmp_path / "answers.csv", head + rows)
     (example,) = page_captures.read(tmp_path / "images.safetensors", tmp_path / "answers.csv", "a")
-    assert [answer["right"] for answer in example.captures["lens", False][0].answers] == [True, False]
-    assert example.label == "7"
+    assert [answer["right"] for answer in example["captures"]["lens", False][0]["answers"]] == [True, False]
+    assert example["label"] == "7"
 
 
 def test_names_may_look_like_numbers(tmp_path):

@@ -1,6 +1,5 @@
 """Captures of the same test images through every lens, with the answers of the networks."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,28 +11,13 @@ from tasklens.settings.names import SHARP, measured_name
 from tasklens.show import pictures
 
 
-@dataclass(frozen=True)
-class Tile:
-    """A capture at a field: data URI, text alternative, field, and a row for the answer of each network."""
+def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[dict[str, Any]]:
+    """Read captures and answers of each test image; the answers of the supervisor come first.
 
-    link: str
-    alternative: str
-    field: str
-    answers: list[dict[Any, Any]]
-
-
-@dataclass(frozen=True)
-class ImageCaptures:
-    """A test image: its number and label, its sharp tile, and its captures by (lens, whether restored)."""
-
-    image: int
-    label: str
-    sharp: Tile
-    captures: dict[tuple[str, bool], list[Tile]]
-
-
-def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[ImageCaptures]:
-    """Read captures and answers; the answers of the supervisor come first."""
+    An entry has the number of the `image`, its `label`, its `sharp` tile, and the tiles of its `captures` by (lens,
+    whether restored). A tile is a capture at a `field`: its `link` (data URI), its text `alternative`, and its
+    `answers`, a row for each network.
+    """
     arrays = load_file(captures_file)
     texts = dict.fromkeys(("label", "answer", "lens", "classifier", "field"), str)
     answers = read_table(answers_file, keep_default_na=False, dtype=texts)
@@ -46,11 +30,16 @@ def read(captures_file: Path, answers_file: Path, supervisor: str) -> list[Image
         for (lens, restored), rows in answers[answers["image"] == image].groupby(["lens", "restored"], sort=False):
             array = arrays[measured_name(str(lens), bool(restored))][position]
             captures[str(lens), bool(restored)] = [
-                Tile(pictures.of_array(array[k]), _alternative(of_field), str(field), of_field.to_dict("records"))
+                {
+                    "link": pictures.of_array(array[k]),
+                    "alternative": _alternative(of_field),
+                    "field": field,
+                    "answers": of_field.to_dict("records"),
+                }
                 for k, (field, of_field) in enumerate(rows.groupby("field", sort=False))
             ]
         (sharp,) = captures.pop((SHARP, False))
-        entries.append(ImageCaptures(image, label, sharp, captures))
+        entries.append({"image": image, "label": label, "sharp": sharp, "captures": captures})
     return entries
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import pandas
 
 from tasklens.show import headings
-from tasklens.show.headings import GAP, PAPER
+from tasklens.show.headings import GAP, PAPER, Heading
 
 
 @dataclass(frozen=True)
@@ -22,11 +22,9 @@ class Cell:
 
 @dataclass(frozen=True)
 class Column:
-    """A column: heading, unit, meaning, whether it holds numbers, and whether its values are the paper's."""
+    """A column: heading, whether it holds numbers, and whether its values are the paper's."""
 
-    words: str
-    unit: str
-    meaning: str
+    heading: Heading
     number: bool
     paper: bool
 
@@ -56,10 +54,8 @@ def build(key: str, caption: str, frame: pandas.DataFrame, note: str = "") -> Ta
     """Build a table from the contents of a CSV file."""
     names = headings.columns(frame)
     best = {name: headings.best(frame, name) for name in names}
-    columns, numbers = [], {name: headings.is_number(frame[name]) for name in names}
-    for name in names:
-        heading = headings.heading(name)
-        columns.append(Column(heading.words, heading.unit, heading.meaning, numbers[name], name.endswith(PAPER)))
+    numbers = {name: headings.is_number(frame[name]) for name in names}
+    columns = [Column(headings.heading(name), numbers[name], name.endswith(PAPER)) for name in names]
     rows = [
         [_cell(name, row, numbers[name], bool(best[name][k])) for name in names]
         for k, row in enumerate(frame.to_dict("records"))
