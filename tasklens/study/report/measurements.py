@@ -82,15 +82,7 @@ class Measurements:
         headings = (self.predictions[key].open(encoding="utf-8").readline().split(",") for key in keys)
         return all(any(name.startswith(fields) for name in names) for names in headings)
 
-    def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.Series:
-        """Return the loss of the frozen classifier for each minival image, mean over fields."""
-        return self._read_frozen_losses(lens, classifier, seed).mean(axis=1)
-
-    def losses_by_field(self, lens: str, classifier: str, seed: int) -> pandas.Series:
-        """Return the loss of the frozen classifier at each field, mean over minival images."""
-        return self._read_frozen_losses(lens, classifier, seed).mean()
-
-    def _read_frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
+    def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Read the losses of the frozen classifier: a row per minival image, a column per field; raises FileError."""
         path = self.frozen[MeasuredKey(lens, classifier, seed)]
         frame = read_table(path, dtype={"label": str}, keep_default_na=False)
@@ -101,11 +93,6 @@ class Measurements:
         if losses.empty or losses.isna().any(axis=None):
             raise damage_error(path, "a loss is missing")
         return losses
-
-    def optimality_gap(self, lens: str, others: Iterable[str], classifier: str, seed: int) -> float:
-        """Return the mean loss of the frozen classifier through a lens minus the least one through other lenses."""
-        own, *rest = (float(self.frozen_losses(name, classifier, seed).mean()) for name in (lens, *others))
-        return own - min(rest)
 
     def strongest_baseline(self, claim: Claim, seed: int) -> str:
         """Return the baseline of a claim with the best minival accuracy for this seed; "" without baselines.

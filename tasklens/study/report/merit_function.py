@@ -101,7 +101,7 @@ def make(
     fields = len(modulations) // len(keys)
     lenses = numpy.repeat([names.index(lens) for lens, _ in keys], fields)  # all seeds of a lens are left out together
     losses = {
-        name: numpy.log(numpy.concatenate([measured.losses_by_field(lens, name, seed) for lens, seed in keys]))
+        name: numpy.log(numpy.concatenate([measured.frozen_losses(lens, name, seed).mean() for lens, seed in keys]))
         for name in settings.classifiers
     }
     fits = {name: fit(modulations, loss) for name, loss in losses.items()}

@@ -76,12 +76,16 @@ def _frozen_values(
     lens: str, others: Iterable[str], classifier: str, seed: int, measured: Measurements
 ) -> dict[str, float]:
     """Return the mean loss of the frozen classifier, and its gap to the best other lens, if they are measured."""
-    if (lens, classifier, seed) not in measured.frozen:
+    losses = {
+        name: float(measured.frozen_losses(name, classifier, seed).mean(axis=1).mean())
+        for name in (lens, *others)
+        if (name, classifier, seed) in measured.frozen
+    }
+    if lens not in losses:
         return {}
-    values = {"frozen_loss": float(measured.frozen_losses(lens, classifier, seed).mean())}
-    others = [other for other in others if (other, classifier, seed) in measured.frozen]
-    if others:
-        values["gap"] = measured.optimality_gap(lens, others, classifier, seed)
+    values = {"frozen_loss": losses.pop(lens)}
+    if losses:
+        values["gap"] = values["frozen_loss"] - min(losses.values())
     return values
 
 
