@@ -14,12 +14,11 @@ from rules import finish, outputs
 from selenium.webdriver.common.by import By
 
 from tasklens.cli.app import main
-from tasklens.runtime.files import FileError, read_tensors, write_tensors
+from tasklens.runtime.files import read_tensors, write_tensors
 from tasklens.runtime.job import user_error
 from tasklens.settings.starts import imaging_designs
 from tasklens.study import table_contents
 from tasklens.study.loading import parse
-from tasklens.study.report.page import assembly
 from tasklens.study.study import TABLES
 
 pytestmark = pytest.mark.slow
@@ -200,14 +199,6 @@ def test_a_table_that_is_older_than_a_lens_says_so(page):
     table.unlink()
 
 
-def test_a_page_that_is_too_large_is_refused(page, monkeypatch):
-    monkeypatch.setattr(assembly, "LARGEST_MB", 1.0)
-    before = page.read_text()
-    with pytest.raises(FileError, match=r"report\.html: would have .* MB, more than 1: show fewer lenses"):
-        finish("report_page", STUDY)
-    assert page.read_text() == before
-
-
 @pytest.fixture(scope="module")
 def opened(page, tmp_path_factory):
     """The page in Chromium, scrolled through once so that every chart is drawn."""
@@ -289,11 +280,3 @@ def test_a_study_without_table_1_has_its_answer(page, name):
     with kept(page, page.parent / "answer.svg"):
         paths = finish("report_page", STUDY.model_copy(update={"tables": (name,)}))
         assert "singlet" in paths.answer.read_text() and '<table id="claims">' in paths.report.read_text()
-
-
-def test_half_a_table_of_tails_is_named(page):
-    """Missing rows are found, too."""
-    path = outputs("psf_tail_table", STUDY).csv
-    with kept(path), pytest.raises(FileError, match=r"psf_tail\.csv: without .*; delete it and run again"):
-        path.write_text("".join(path.read_text().splitlines(keepends=True)[:3]))
-        finish("report_page", STUDY)

@@ -13,7 +13,7 @@ import pandas
 from plotly.offline import get_plotlyjs
 
 from tasklens.runtime.benchmarks import benchmarks
-from tasklens.runtime.files import FileError, damage_error, read_json, read_table, read_yaml, write_text
+from tasklens.runtime.files import read_json, read_table, read_yaml, write_text
 from tasklens.show import pictures
 from tasklens.show.headings import STD
 from tasklens.show.optimality import optimum
@@ -22,7 +22,6 @@ from tasklens.study.report import answer as answer_figure
 from tasklens.study.report.page import gallery, page_captures, page_charts, page_tables, words
 from tasklens.study.report_jobs import ReportJob
 
-LARGEST_MB = 15.0
 _SPREAD = " ± is the standard deviation over seeds."
 
 
@@ -53,18 +52,10 @@ class PageFiles:
 
 
 def make(settings: ReportJob, files: PageFiles, lens_files: gallery.LensFiles, report: Path, answer: Path) -> None:
-    """Write the page, and the figure of its answer.
-
-    Raises:
-        FileError: the page is larger than 15 MB.
-    """
+    """Write the page, and the figure of its answer."""
     by_seed = {name: read_table(path) for name, path in zip(settings.tables, files.seeds_files, strict=True)}
     _draw_answer(answer, settings, next(iter(by_seed.items())), read_table(files.verdicts))
-    page = render(settings, files, lens_files, by_seed, answer)
-    size_mb = len(page.encode()) / 1e6
-    if size_mb > LARGEST_MB:
-        raise FileError(f"{report}: would have {size_mb:.1f} MB, more than {LARGEST_MB:.0f}: show fewer lenses")
-    write_text(report, page)
+    write_text(report, render(settings, files, lens_files, by_seed, answer))
 
 
 def render(
@@ -85,8 +76,6 @@ def render(
     paths |= {"verdicts": files.verdicts, "psf_tail": files.psf_tail, "effort": files.effort}
     paths |= {name: path for name, path in optional.items() if path.exists()}
     frames = {name: read_table(path) for name, path in paths.items()}
-    if missing := set(settings.elements) - set(frames["psf_tail"]["lens"]):
-        raise damage_error(files.psf_tail, f"without {', '.join(sorted(missing))}")
     lenses = dict(zip(settings.elements, lens_files.lenses, strict=True))
     table1 = frames.get("table1")
     elements = dict.fromkeys(settings.elements.values())
