@@ -78,8 +78,8 @@ def test_lenses_of_other_specifications_are_no_baselines():
     assert any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(study).claims)
     faster = study.model_copy(update={"specs": {"triplet_f2": {"f_number": 2.0}}})
     assert not any(claim.text == claims.FEWER_ELEMENTS for claim in claims.claims(faster).claims)
-    baselines = {claim.lens: claim.baselines for claim in claims.imaging_claims(faster).claims}
-    assert baselines == {
-        f"{name}-tasklens": (f"{name}-image_error", *(f"{name}-imaging{k}" for k in (1, 2, 3)))
+    by_elements = claims.claims_by_elements(faster)
+    assert {name: [(c.lens, c.baselines) for c in of_elements] for name, of_elements in by_elements.items()} == {
+        name: [(f"{name}-tasklens", (f"{name}-image_error", *(f"{name}-imaging{k}" for k in (1, 2, 3))))]
         for name in ("doublet", "triplet_f2")
     }

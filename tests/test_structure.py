@@ -124,7 +124,7 @@ UNUSED = {  # by jobs
     "capture": ("numba", "matplotlib", "torchvision.transforms.v2"),
     "psf_tail": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib"),
     "certify": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
-    "drawing": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
+    "lens_figures": (*NETWORKS, "scipy.fft", "scipy.optimize", "matplotlib.pyplot"),
     "restore": ("numba", "pandas", "matplotlib"),
     "produce": ("torchvision.transforms.v2", "matplotlib"),
     "train_classifier": ("kornia", "numba", "scipy.fft", "pandas", "matplotlib", "torchvision.transforms.v2"),
@@ -135,7 +135,7 @@ UNUSED = {  # by jobs
 CHAINS = [  # each job leaves out at least what the next ones do, so that one process imports them in turn
     ["images", "train_classifier", "classify", "capture", "produce"],
     ["restore", "design_lens"],
-    ["psf_tail", "certify", "drawing"],
+    ["psf_tail", "certify", "lens_figures"],
 ]
 
 

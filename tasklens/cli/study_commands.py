@@ -185,7 +185,7 @@ def plan(
 def _figures(study: Study, planned: dict[str, planning.Planned], cores: int) -> dict[str, Any]:
     """Return the remaining jobs of a study and their costs, for JSON."""
     durations = durations_of(study)
-    seconds, unmeasured = planning.seconds(planned, durations)
+    seconds, unmeasured = durations.total(planning.remaining_rules(planned))
     disk_mb, unweighed = planning.disk_mb(study, planned)
     return {
         "study": study.name,
@@ -208,11 +208,11 @@ def _print_plan(study: Study, planned: dict[str, planning.Planned], target: str,
         print(f"{rule:<18} {len(jobs.done):>5} {len(jobs.missing):>8} {len(jobs.rerun):>6}  {per_job:>10}")
     if figures["changed"]:
         print("Changed since the last run:", *figures["changed"], sep="\n  ")
-    total = sum(jobs.remaining for jobs in planned.values())
-    if not total:
+    rules = planning.remaining_rules(planned)
+    if not rules:
         print(f"{study.name}: nothing to do for {target}.")
         return
-    print(durations.forecast((rule for rule, jobs in planned.items() for _ in range(jobs.remaining)), cores))
+    print(durations.forecast(rules, cores))
     memory, disk = f"{figures['memory_mb']} MB for the largest job", f"{figures['disk_mb']:.0f} MB more"
     print(f"memory: {memory}; disk: {disk}{_but(figures['disk_unknown_of'])}")
 

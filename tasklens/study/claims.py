@@ -18,7 +18,7 @@ IMAGING1 = "imaging1"  # the paper's spot minimisation
 
 OVER_IMAGING1 = "more accurate than imaging1"
 OVER_LEAST_SQUARES = "more accurate than the best lens by least squares"
-OVER_IMAGING = "more accurate than the best imaging lens"  # of any kind; only in `imaging_claims`
+OVER_IMAGING = "more accurate than the best imaging lens"  # of any kind; only in `claims_by_elements`
 OVER_IMAGE_QUALITY = "more accurate than the best lens for image quality"  # of captures or PSFs, not of spots
 FEWER_ELEMENTS = "more accurate than the best imaging lens with more elements"
 OVER_START = "more accurate than the best lens that it may begin with"  # of designs with the network trained jointly
@@ -133,23 +133,18 @@ def claims(study: Study) -> Claims:
     return Claims(study=study.name, claims=tuple(all_claims), seeds=study.seeds)
 
 
-def imaging_claims(study: Study) -> Claims:
-    """Compare each task-driven lens with the best imaging lens of its elements, by the supervisor (table 1)."""
-    comparisons = [
-        _of_supervisor(
-            study, "table1", OVER_IMAGING, lens.name, [f"{lens.elements}-{n}" for n in imaging_designs(study.designs)]
-        )
-        for lens in study.lenses.values()
-        if lens.by_task and imaging_designs(study.designs)
-    ]
-    return Claims(study=study.name, claims=tuple(comparisons), seeds=study.seeds)
-
-
 def claims_by_elements(study: Study) -> dict[str, list[Claim]]:
-    """Return the claims of `imaging_claims` by names of elements."""
+    """Compare each task-driven lens with the best imaging lens of its elements, by the supervisor (table 1).
+
+    Returns:
+        Claims by names of elements.
+    """
     by_elements: dict[str, list[Claim]] = {}
-    for claim in imaging_claims(study).claims:
-        by_elements.setdefault(study.lens(claim.lens).elements, []).append(claim)
+    for lens in study.lenses.values():
+        if lens.by_task and imaging_designs(study.designs):
+            imaging = [f"{lens.elements}-{name}" for name in imaging_designs(study.designs)]
+            claim = _of_supervisor(study, "table1", OVER_IMAGING, lens.name, imaging)
+            by_elements.setdefault(lens.elements, []).append(claim)
     return by_elements
 
 

@@ -52,7 +52,7 @@ rule drawing:
     resources:
         **needs("drawing"),
     params:
-        **call("tasklens.study.jobs.drawing.run"),
+        **call("tasklens.study.jobs.lens_figures.draw"),
         settings=named(lens=lambda study, lens: lens),
     script:
         "../scripts/job.py"
@@ -82,7 +82,7 @@ rule comparison:
     resources:
         **needs("comparison"),
     params:
-        **call("tasklens.study.jobs.comparison.run"),
+        **call("tasklens.study.jobs.lens_figures.compare"),
         settings=settings(paper_claims.comparison),
     script:
         "../scripts/job.py"

@@ -21,7 +21,7 @@ from tasklens.recognition import dataset
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.show import predictions
 from tasklens.show.figures import save
-from tasklens.study.jobs.comparison import lenses_to_draw
+from tasklens.study.jobs.lens_figures import lenses_to_draw
 from tasklens.study.report_jobs import FramesJob
 
 _SHAPE = 1080, 1920  # largest frame [pixels]

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy
 import pandas
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.optimize import nnls
@@ -137,16 +136,11 @@ def _draw(
         right.plot(numpy.exp(predicted[name]), numpy.exp(losses[name]), ".", label=name, alpha=0.6)
     left.set(xlabel="spatial frequency [cycles per pixel]", ylabel="weight of the modulation")
     left.set_title("Weights by frequency")
-    _diagonal(right)
+    right.axline((1, 1), slope=1, color="grey", linewidth=1)
+    right.set(xscale="log", yscale="log", title="One point for each field of each lens")
+    right.set(xlabel="loss predicted from the MTF, lens left out", ylabel="loss")
+    for axis in (right.xaxis, right.yaxis):
+        axis.set(major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=NullFormatter())
     left.legend()
     with replacing(path) as temporary:
         figure.savefig(temporary, dpi=110, format="png")
-
-
-def _diagonal(axes: Axes) -> None:
-    """Finish the plot of actual against predicted losses: logarithmic axes and the line of equality."""
-    axes.axline((1, 1), slope=1, color="grey", linewidth=1)
-    axes.set(xscale="log", yscale="log", title="One point for each field of each lens")
-    axes.set(xlabel="loss predicted from the MTF, lens left out", ylabel="loss")
-    for axis in (axes.xaxis, axes.yaxis):
-        axis.set(major_locator=LogLocator(subs=(1, 2, 5)), major_formatter="{x:g}", minor_formatter=NullFormatter())

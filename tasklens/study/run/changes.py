@@ -199,8 +199,8 @@ def amount(rules: Sequence[str], durations: Durations, cores: int) -> str:
     """Describe how many results the jobs of these rules make, and how long they take on this number of cores."""
     counts = Counter(COUNTED[rule] for rule in rules)
     words = [f"{count} {kind if count > 1 else _one(kind)}" for kind, count in counts.items()]
-    times = [seconds for rule in rules if (seconds := durations.seconds(rule)) is not None]
-    return f"{', '.join(words)} again" + (f", {duration(sum(times) / cores)}" if times else "")
+    seconds, unknown = durations.total(rules)
+    return f"{', '.join(words)} again" + (f", {duration(seconds / cores)}" if {*rules} - {*unknown} else "")
 
 
 def _one(kind: str) -> str:

@@ -7,7 +7,7 @@ values from another machine; these durations are scaled by the ratio of the dura
 import csv
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -115,12 +115,16 @@ class Durations:
         largest = [table[rule].memory_mb for table in (self.here, self.elsewhere) if rule in table]
         return round(max(_LEAST_MB, _MARGIN * max(largest)) if any(largest) else _UNKNOWN_MB)
 
-    def forecast(self, rules: Iterable[str], cores: int) -> str:
-        """Describe in one line the number of jobs of these rules and their total duration on `cores` cores."""
+    def total(self, rules: Iterable[str]) -> tuple[float, list[str]]:
+        """Return the total duration of jobs of these rules on one core [s], and the rules of unknown duration."""
         counts = Counter(rules)
         seconds = {rule: self.seconds(rule) for rule in counts}
         total = sum(count * (seconds[rule] or 0.0) for rule, count in counts.items())
-        unknown = [rule for rule in counts if seconds[rule] is None]
+        return total, [rule for rule in counts if seconds[rule] is None]
+
+    def forecast(self, rules: Sequence[str], cores: int) -> str:
+        """Describe in one line the number of jobs of these rules and their total duration on `cores` cores."""
+        counts, (total, unknown) = Counter(rules), self.total(rules)
         line = f"Study {self.study}: {counts.total()} job{'s' if counts.total() != 1 else ''}"
         if len(unknown) < len(counts):
             line += f", about {duration(total / cores)} on {cores} core{'s' if cores > 1 else ''}"

@@ -194,8 +194,8 @@ def fit(request: StudyRequest, minutes: float, cores: int) -> tuple[Cut, float]:
             write_text(path, text(request, cut, "a trial", cores, path))
             study = load(path)
             plan = planning.plan([path], "tables").get(study.name, {})
-        jobs = {rule: planning.Planned(missing=[*p.done, *p.missing, *p.rerun]) for rule, p in plan.items()}
-        return cut.fraction * planning.seconds(jobs, durations_of(study))[0] / cores
+        rules = [rule for rule, jobs in plan.items() for _ in (*jobs.done, *jobs.missing, *jobs.rerun)]
+        return cut.fraction * durations_of(study).total(rules)[0] / cores
 
     largest = bisect_left(CUTS, -60 * minutes, key=lambda cut: -seconds(cut))  # each is smaller than the one before
     cut = CUTS[min(largest, len(CUTS) - 1)]

@@ -66,12 +66,9 @@ def plan(files: Sequence[Path], target: str) -> dict[str, dict[str, Planned]]:
     return dict(sorted(plans.items()))  # a sweep, then its points
 
 
-def seconds(planned: dict[str, Planned], durations: Durations) -> tuple[float, list[str]]:
-    """Return the duration of the remaining jobs on one core [s], and the rules of unknown duration."""
-    remaining = {rule: jobs.remaining for rule, jobs in planned.items() if jobs.remaining}
-    job_seconds = {rule: durations.seconds(rule) for rule in remaining}
-    total = sum(count * (job_seconds[rule] or 0.0) for rule, count in remaining.items())
-    return total, [rule for rule, value in job_seconds.items() if value is None]
+def remaining_rules(planned: dict[str, Planned]) -> list[str]:
+    """Return the rule of each job that still has to run."""
+    return [rule for rule, jobs in planned.items() for _ in range(jobs.remaining)]
 
 
 def memory_mb(planned: dict[str, Planned], durations: Durations) -> int:

@@ -1,4 +1,4 @@
-"""Figure of the task-driven lenses and the best imaging lens for one set of elements (the paper's figure 3)."""
+"""Figures of lenses: each lens, and the task-driven lenses with the best imaging lens (the paper's figure 3)."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -7,9 +7,15 @@ from tasklens.show import figures
 from tasklens.show.panel import Panel
 from tasklens.study.claims import Claims
 from tasklens.study.report.measurements import Measurements
+from tasklens.study.report_jobs import DrawingJob
 
 
-def run(
+def draw(settings: DrawingJob, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
+    """Draw a lens in one figure as PNG, SVG and PDF."""
+    figures.save(figures.figure_of([Panel.read(settings.lens, lens, psf)]), [figure, figure_svg, figure_pdf])
+
+
+def compare(
     settings: Claims,
     lenses: Sequence[Path],
     psfs: Sequence[Path],
@@ -18,7 +24,7 @@ def run(
     figure_svg: Path,
     figure_pdf: Path,
 ) -> None:
-    """Draw the lens of each claim, and the strongest baseline of the claims.
+    """Draw the lens of each claim, and the strongest baseline of the claims, in one figure.
 
     Args:
         lenses, psfs: files of the lenses in `settings.lenses`.
