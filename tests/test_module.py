@@ -7,7 +7,6 @@ from pathlib import Path
 import pytest
 import yaml
 from examples import one_lens
-from expected_jobs import expected
 from rules import ROOT, finish
 from workflows import forked, plan, snakemake
 
@@ -51,14 +50,11 @@ def test_studies_by_their_names_in_one_run(tmp_path):
     (tmp_path / "config").mkdir()
     (tmp_path / "config/tiny.yaml").write_text(yaml.safe_dump(ONE_LENS))
     (tmp_path / "config/tiny2.yaml").write_text("{name: tiny2, extends: tiny, seeds: [0, 1]}")
-    local, smoke = parse(ONE_LENS), load(ROOT / "config" / "smoke.yaml")
+    smoke = load(ROOT / "config" / "smoke.yaml")
     targets = ["results/tiny/report.html", "results/tiny2/tables/table1.csv", "results/smoke/images/train.npy"]
     jobs = plan(tmp_path, None, *targets, "--config", "seeds=[4]")
-    both = expected(local)
     assert jobs["design"] == 3 and jobs["images"] == 3 and jobs["fine_tune"] == 2 * 3
-    assert {rule: jobs[rule] for rule in ("report_page", "captures", "verdicts_table")} == {
-        rule: both[rule] for rule in ("report_page", "captures", "verdicts_table")
-    }
+    assert [jobs[rule] for rule in ("report_page", "captures", "verdicts_table")] == [1, 1, 1]  # of tiny
     assert smoke.name == "smoke"
     assert plan(tmp_path, None, "table1", "--config", "study=tiny2", "seeds=[4, 5, 6]")["design"] == 3
     status, output = forked(tmp_path, None, "--dry-run", "--config", "study=absent")
