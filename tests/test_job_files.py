@@ -5,7 +5,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import is_dataclass
-from inspect import signature
+from inspect import getclosurevars, signature
 from pathlib import Path
 from pkgutil import resolve_name
 
@@ -152,7 +152,7 @@ def test_a_failed_job_gets_twice_the_memory_and_time():
 
 @pytest.mark.parametrize("name", rule_names())
 def test_a_rule_is_declared_in_one_piece(name):
-    """It has a sentence, a typed function with the names of its files, and all wildcards in every file and its log."""
+    """It has a sentence, a typed function of its settings and files, and all wildcards in every file and its log."""
     rule = workflow().get_rule(name)
     assert rule.docstring.endswith(".") and rule.benchmark
     parameters = signature(resolve_name(rule.params.function)).parameters
@@ -161,7 +161,9 @@ def test_a_rule_is_declared_in_one_piece(name):
         parameters = {key: value for key, value in parameters.items() if key != group} | fields
     files = {*rule.input.keys(), *rule.output.keys()} | ({"benchmarks"} if name == "effort_table" else set())
     files |= {"optional", "drawn", "benchmarks"} if name == "report_page" else set()
-    assert {*list(parameters)[1:]} - {"checkpoint"} == files
+    settings = getclosurevars(rule.params.settings).nonlocals.get("values", list(parameters)[:1])
+    assert list(parameters)[: len(settings)] == list(settings) and not files & {*settings}
+    assert {*parameters} - {*settings, "checkpoint"} == files
     assert all(parameter.annotation is not parameter.empty for parameter in parameters.values())
     for path in [*rule.output, *rule.log, rule.benchmark]:
         assert {*re.findall(r"{(\w+)", str(path))} == rule.wildcard_names

@@ -3,6 +3,7 @@
 import ctypes
 import gc
 import hashlib
+import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -12,6 +13,8 @@ from importlib import import_module
 from inspect import signature
 from pathlib import Path
 from typing import Any, NoReturn, get_args, get_origin, get_type_hints
+
+from pydantic import TypeAdapter
 
 from tasklens.runtime import locks
 from tasklens.runtime.errors import InputError
@@ -28,10 +31,10 @@ def run(
     """Call the function of a job; its checkpoint is removed when the outputs are complete.
 
     Args:
-        function: `package.module.function`; its first parameter is the settings, the others are named like the files;
-            a parameter whose type is a data class gets the files named like its fields; a parameter `checkpoint` lets a
-            killed job resume.
-        settings: JSON of the settings; their class is the annotation of the first parameter.
+        function: `package.module.function`; its parameters are named like the settings and the files; a parameter whose
+            type is a data class gets the files named like its fields; a parameter `checkpoint` lets a killed job
+            resume.
+        settings: JSON of the settings by parameter, or of the class of the first parameter.
         code: digest of the code of the function.
         inputs: input files by name; one, several, or none if the parameter may be None. A file that no rule waits for
             may be missing.
@@ -56,16 +59,20 @@ def _call(
 ) -> None:
     with _import(function) as call:
         kinds = get_type_hints(call)
-        parameters = list(signature(call).parameters)
-        job_settings = kinds[parameters[0]].model_validate_json(settings, extra="ignore")  # computed fields
-        others = dict(inputs)
-        arguments = _files(parameters[1:], kinds, others)
+        parameters, others = list(signature(call).parameters), dict(inputs)
+        values = json.loads(settings)
+        if not values.keys() <= {*parameters}:  # all in one object
+            values = {parameters[0]: values}
+        arguments = {  # without computed fields
+            name: TypeAdapter(kinds[name]).validate_python(value, extra="ignore") for name, value in values.items()
+        }
+        arguments |= _files(parameters, kinds, others)
         if others:
             raise TypeError(f"{function} has no parameter {', '.join(others)}")
         arguments |= {name: Path(path) for name, path in outputs.items()}
         if "checkpoint" in parameters:
             arguments["checkpoint"] = kinds["checkpoint"](checkpoint)
-        call(job_settings, **arguments)
+        call(**arguments)
 
 
 def _files(names: Iterable[str], kinds: Mapping[str, Any], inputs: dict[str, Paths]) -> dict[str, Any]:

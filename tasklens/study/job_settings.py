@@ -1,7 +1,7 @@
 """Settings of each kind of job: the part of a study that it reads; no torch here.
 
-Snakemake compares them, so that a changed value reruns the jobs that read it, and no others. A rule names the values,
-or `of` takes them from the study and the wildcards of the rule.
+Snakemake compares them, so that a changed value reruns the jobs that read it, and no others. `of` takes them from the
+study and the wildcards of the rule; other rules name the values.
 """
 
 import os
@@ -14,7 +14,6 @@ from tasklens.settings import names
 from tasklens.settings.base import Frozen
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.field_settings import Points
-from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.names import SHARP
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings
 from tasklens.settings.specification import Spec
@@ -42,13 +41,6 @@ def folder_digest(folder: Path) -> str:
 def source(folder: Path | None) -> str | None:
     """Return the digest of a folder of images; None without a folder."""
     return None if folder is None else folder_digest(folder)
-
-
-class ImagesJob(Frozen):
-    """Rendering or reading of the images; `source` is the digest of their folder."""
-
-    images: ImageSettings
-    source: str | None
 
 
 class PsfJob(Frozen):
@@ -79,14 +71,6 @@ class PsfJob(Frozen):
             sets=study.fields.sets(study.design_points(lens)),
             seed=seed,
         )
-
-
-class RestorationJob(Frozen):
-    """Training of a restoration network on the captures of a lens."""
-
-    restoration: RestorationSettings
-    capture: CaptureSettings
-    seed: int
 
 
 class CapturePipelineSettings(Frozen):

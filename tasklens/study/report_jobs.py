@@ -20,18 +20,17 @@ from tasklens.study.sweep import points
 from tasklens.study.table_contents import LensKey, MeasuredKey, SeededLenses, SeededMeasurements
 
 
-class DrawingJob(Frozen):
-    """The figure of a lens."""
-
-    lens: str
-
-
 class CertificateJob(Frozen):
     """The page and the pictures of a lens."""
 
     lens: str
     seed: int
     grade: Grade
+
+    @classmethod
+    def of(cls, study: Study, lens: str, seed: int) -> "CertificateJob":
+        """Return the settings of the job."""
+        return cls(lens=lens, seed=seed, grade=study.tolerances.grade)
 
 
 class FramesJob(Frozen):

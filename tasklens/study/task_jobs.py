@@ -5,24 +5,10 @@ from typing import Any, NamedTuple
 from tasklens.settings.base import Frozen
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.names import SHARP
-from tasklens.settings.task_settings import SceneSettings, TaskSettings
+from tasklens.settings.task_settings import TaskSettings
 from tasklens.study.job_settings import lens_columns
 from tasklens.study.study import Study, StudyError
 from tasklens.study.table_contents import LensKey, chosen_lenses
-
-
-class ScenesJob(Frozen):
-    """Rendering or reading of the images with objects; `source` is the digest of their folder."""
-
-    scenes: SceneSettings
-    source: str | None
-
-
-class TaskTrainingJob(Frozen):
-    """Training of the network of a task on the sharp images with objects."""
-
-    name: str
-    network: TaskSettings
 
 
 class TaskFineTuningJob(Frozen):

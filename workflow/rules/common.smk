@@ -93,7 +93,7 @@ def settings(of):
 
 
 def named(**values):
-    """Return such a function for settings that a rule names, each by a function of the study and wildcards."""
+    """Return such a function for settings that are parameters of the job, each by a function of study and wildcards."""
     return lambda w: to_json({name: contents(value, w) for name, value in values.items()}).decode()
 
 

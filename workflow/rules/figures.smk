@@ -23,11 +23,7 @@ rule certificate:
         **needs("certificate"),
     params:
         **call("tasklens.study.jobs.certify.run"),
-        settings=named(
-            lens=lambda study, lens: lens,
-            seed=lambda study, seed: seed,
-            grade=lambda study: study.tolerances.grade,
-        ),
+        settings=settings(report_jobs.CertificateJob.of),
     script:
         "../scripts/job.py"
 
@@ -53,7 +49,7 @@ rule drawing:
         **needs("drawing"),
     params:
         **call("tasklens.study.jobs.lens_figures.draw"),
-        settings=named(lens=lambda study, lens: lens),
+        settings=named(name=lambda study, lens: lens),
     script:
         "../scripts/job.py"
 

@@ -7,12 +7,11 @@ from tasklens.show import figures
 from tasklens.show.panel import Panel
 from tasklens.study.claims import Claims
 from tasklens.study.report.measurements import Measurements
-from tasklens.study.report_jobs import DrawingJob
 
 
-def draw(settings: DrawingJob, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
+def draw(name: str, lens: Path, psf: Path, figure: Path, figure_svg: Path, figure_pdf: Path) -> None:
     """Draw a lens in one figure as PNG, SVG and PDF."""
-    figures.save(figures.figure_of([Panel.read(settings.lens, lens, psf)]), [figure, figure_svg, figure_pdf])
+    figures.save(figures.figure_of([Panel.read(name, lens, psf)]), [figure, figure_svg, figure_pdf])
 
 
 def compare(

@@ -10,21 +10,20 @@ from tasklens.recognition.evaluation import CapturePipeline, scores
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_rows, write_tensors
-from tasklens.study.task_jobs import TaskFineTuningJob, TaskTrainingJob
+from tasklens.settings.task_settings import TaskSettings
+from tasklens.study.task_jobs import TaskFineTuningJob
 
 
-def train(settings: TaskTrainingJob, images: Sequence[Path], weights: Path, checkpoint: Checkpoint) -> None:
+def train(name: str, network: TaskSettings, images: Sequence[Path], weights: Path, checkpoint: Checkpoint) -> None:
     """Train a network on the sharp images, and write its weights."""
     device = claim()
     dataset = objects.read(*images, device=device)
     torch.manual_seed(0)
-    network = task_networks.build(settings.name, settings.network, len(dataset.classes), dataset.images.shape[-1]).to(
-        device
-    )
-    task = object_tasks.make(settings.name, settings.network, dataset)
-    sharp, label = dataset.as_images(), f"training of {settings.name}"
-    training.fit(network, sharp, settings.network.training, 0, label, checkpoint=checkpoint, task=task)
-    write_tensors(weights, network.state_dict(), {"task": settings.name})
+    model = task_networks.build(name, network, len(dataset.classes), dataset.images.shape[-1]).to(device)
+    task = object_tasks.make(name, network, dataset)
+    sharp, label = dataset.as_images(), f"training of {name}"
+    training.fit(model, sharp, network.training, 0, label, checkpoint=checkpoint, task=task)
+    write_tensors(weights, model.state_dict(), {"task": name})
 
 
 def fine_tune(

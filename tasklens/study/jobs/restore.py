@@ -9,11 +9,14 @@ from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
 from tasklens.runtime.files import write_rows, write_tensors
-from tasklens.study.job_settings import RestorationJob
+from tasklens.settings.capture_settings import CaptureSettings
+from tasklens.settings.network_settings import RestorationSettings
 
 
 def run(
-    settings: RestorationJob,
+    restoration: RestorationSettings,
+    capture: CaptureSettings,
+    seed: int,
     train: Sequence[Path],
     minival: Sequence[Path],
     psf: Path,
@@ -23,12 +26,8 @@ def run(
 ) -> None:
     """Write the weights and the training history."""
     device = claim()
-    pipeline, of_validation = (
-        CapturePipeline.of(settings.capture, psf, fields, device) for fields in ("training", "selection")
-    )
+    pipeline, of_validation = (CapturePipeline.of(capture, psf, fields, device) for fields in ("training", "selection"))
     images, selection = (dataset.read(*split, device=device) for split in (train, minival))
-    network, rows = nafnet_training.train(
-        settings.restoration, images, selection, pipeline, of_validation, settings.seed, checkpoint
-    )
+    network, rows = nafnet_training.train(restoration, images, selection, pipeline, of_validation, seed, checkpoint)
     write_rows(history, rows)
     write_tensors(weights, network.state_dict(), {})
