@@ -34,7 +34,7 @@ def run(
         function: `package.module.function`; its parameters are named like the settings and the files; a parameter whose
             type is a data class gets the files named like its fields; a parameter `checkpoint` lets a killed job
             resume.
-        settings: JSON of the settings by parameter, or of the class of the first parameter.
+        settings: JSON of the settings by parameter, or of the object for a parameter `settings`.
         code: digest of the code of the function.
         inputs: input files by name; one, several, or none if the parameter may be None. A file that no rule waits for
             may be missing.
@@ -61,8 +61,8 @@ def _call(
         kinds = get_type_hints(call)
         parameters, others = list(signature(call).parameters), dict(inputs)
         values = json.loads(settings)
-        if not values.keys() <= {*parameters}:  # all in one object
-            values = {parameters[0]: values}
+        if "settings" in parameters:
+            values = {"settings": values}
         arguments = {  # without computed fields
             name: TypeAdapter(kinds[name]).validate_python(value, extra="ignore") for name, value in values.items()
         }

@@ -33,11 +33,13 @@ def collect(claims: Claims, measurements: Measurements) -> pandas.DataFrame:
     return pandas.DataFrame(rows).merge(comparison, on="lens", how="left")
 
 
-def make(claims: Claims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
+def make(settings: Claims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
     """Write the table as CSV and Markdown, and the answers from which its intervals can be recomputed."""
-    measurements = Measurements.of(claims, files)
-    rows = collect(claims, measurements)
-    answers_file.write(answers, claims, measurements)
-    (base,) = claims.claims[0].baselines
-    note = _NOTE.format(study=claims.study, base=base, seeds=verdicts.seeds_phrase(claims), least=verdicts.LEAST_SEEDS)
-    publish(csv, md, rows, "\n".join([note, *verdicts.fitted_lenses(claims, measurements)]))
+    measurements = Measurements.of(settings, files)
+    rows = collect(settings, measurements)
+    answers_file.write(answers, settings, measurements)
+    (base,) = settings.claims[0].baselines
+    note = _NOTE.format(
+        study=settings.study, base=base, seeds=verdicts.seeds_phrase(settings), least=verdicts.LEAST_SEEDS
+    )
+    publish(csv, md, rows, "\n".join([note, *verdicts.fitted_lenses(settings, measurements)]))

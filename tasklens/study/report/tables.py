@@ -126,7 +126,7 @@ def summarise(contents: TableContents, rows: pandas.DataFrame, paper: pandas.Dat
 
 
 def make(
-    contents: TableContents,
+    settings: TableContents,
     lenses: Sequence[Path],
     metrics: Sequence[Path],
     frozen: Sequence[Path],
@@ -139,27 +139,27 @@ def make(
     """Write a table as CSV, Markdown and LaTeX, its rows by seed as CSV, and its provenance as JSON.
 
     Args:
-        lenses, metrics, frozen: files of the keys of `contents`.
+        lenses, metrics, frozen: files of the keys of `settings`.
     """
     published = pandas.read_csv(Path(__file__).with_name("paper.csv"), keep_default_na=False)
     published["value"] = pandas.to_numeric(published["value"])
     measurements = Measurements(
-        dict(zip(contents.lens_keys, lenses, strict=True)),
-        dict(zip(contents.measured_keys, metrics, strict=True)),
-        frozen=dict(zip(contents.frozen_keys, frozen, strict=True)),
+        dict(zip(settings.lens_keys, lenses, strict=True)),
+        dict(zip(settings.measured_keys, metrics, strict=True)),
+        frozen=dict(zip(settings.frozen_keys, frozen, strict=True)),
     )
-    rows = collect(contents, measurements)
-    rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[contents.name], "minival_accuracy"])))
-    table = summarise(contents, rows, published)
-    note = f"Study `{contents.study}`. Columns marked paper: Yang et al. 2024, on ImageNet with other networks."
+    rows = collect(settings, measurements)
+    rows = rows.reindex(columns=list(dict.fromkeys([*rows, *_COLUMNS[settings.name], "minival_accuracy"])))
+    table = summarise(settings, rows, published)
+    note = f"Study `{settings.study}`. Columns marked paper: Yang et al. 2024, on ImageNet with other networks."
     publish(csv, md, table, note)
     by_field = [name for name in rows if str(name).startswith(FIELD)]
     keys = ("elements", "design", "classifier", "seed")
-    columns = (*keys, *_columns(contents, rows), "reference_accuracy", "chance", *by_field)
+    columns = (*keys, *_columns(settings, rows), "reference_accuracy", "chance", *by_field)
     write_text(seeds_csv, rows[[name for name in dict.fromkeys(columns) if name in rows]].to_csv(index=False))
-    caption = _caption(contents, table)
-    write_text(tex, latex_table(table, caption, f"tab:{contents.study}-{contents.name}"))
-    write_text(json, dumps(provenance(contents), indent=1) + "\n")
+    caption = _caption(settings, table)
+    write_text(tex, latex_table(table, caption, f"tab:{settings.study}-{settings.name}"))
+    write_text(json, dumps(provenance(settings), indent=1) + "\n")
 
 
 def _caption(contents: TableContents, table: pandas.DataFrame) -> str:

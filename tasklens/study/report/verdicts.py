@@ -205,14 +205,14 @@ def seeds_phrase(claims: Claims) -> str:
     return " and seeds" if len(claims.seeds) > 1 else ""
 
 
-def make(claims: Claims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
+def make(settings: Claims, files: MeasurementFiles, csv: Path, md: Path, answers: Path) -> None:
     """Write the verdicts as CSV and Markdown, and the answers from which they can be recomputed."""
-    measurements = Measurements.of(claims, files)
-    rows = collect(claims, measurements)
-    answers_file.write(answers, claims, measurements)
-    margin = max((claim.margin for claim in claims.claims), default=0.0)
+    measurements = Measurements.of(settings, files)
+    rows = collect(settings, measurements)
+    answers_file.write(answers, settings, measurements)
+    margin = max((claim.margin for claim in settings.claims), default=0.0)
     words = f', for "at least as accurate" above -{margin:g} points' if margin else ""
-    note = _NOTE.format(study=claims.study, seeds=seeds_phrase(claims), least=LEAST_SEEDS, margin=words)
-    note = note if len(rows) else f"Study `{claims.study}` has no lenses that the paper's claims are about."
-    note = "\n".join([note, *fitted_lenses(claims, measurements)])
+    note = _NOTE.format(study=settings.study, seeds=seeds_phrase(settings), least=LEAST_SEEDS, margin=words)
+    note = note if len(rows) else f"Study `{settings.study}` has no lenses that the paper's claims are about."
+    note = "\n".join([note, *fitted_lenses(settings, measurements)])
     publish(csv, md, rows, note)
