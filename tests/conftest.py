@@ -15,8 +15,7 @@ from examples import materials
 from threadpoolctl import threadpool_limits
 
 from tasklens.design import objective, optimum
-from tasklens.design.random_starts import random_starts
-from tasklens.design.start import flat
+from tasklens.design.start import flat, random_starts
 
 torch.set_num_threads(1)
 

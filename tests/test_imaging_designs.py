@@ -12,8 +12,7 @@ from examples import difference, materials
 from tasklens.design import least_squares
 from tasklens.design.merit import FIELD_HEIGHTS, VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import Problem
-from tasklens.design.random_starts import random_starts
-from tasklens.design.start import flat
+from tasklens.design.start import flat, random_starts
 from tasklens.design.variables import Variables
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc

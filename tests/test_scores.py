@@ -5,7 +5,7 @@ import torch
 from pycocotools import mask
 
 from tasklens.recognition import object_scenes, objects
-from tasklens.recognition.scores import Detections, average_precision, encode, mean_iou
+from tasklens.recognition.object_tasks import Detections, average_precision, encode, mean_iou
 
 
 def boxes(*corners):

@@ -13,7 +13,6 @@ from torch import Tensor
 
 import tasklens
 from tasklens.camera.blend import SensorPsfs, blend
-from tasklens.camera.resolution_chart import resolution_chart
 from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.cli.app import main
 from tasklens.optics.analysis.illumination import relative_illumination
@@ -24,6 +23,7 @@ from tasklens.optics.analysis.spots import chief_points, chief_rays, chief_rays_
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
+from tasklens.study.jobs.frames import resolution_chart
 
 SHAPE = (96, 128)
 RAYS = 1024

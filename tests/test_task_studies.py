@@ -11,9 +11,9 @@ from rules import finish, job_of
 
 from tasklens.materials.catalogues import PLASTICS
 from tasklens.optics.io import prescription
-from tasklens.recognition import object_splits
 from tasklens.settings.task_settings import SceneSettings
 from tasklens.study import claims, table_contents, task_jobs
+from tasklens.study.jobs import render_scenes
 from tasklens.study.loading import parse
 from tasklens.study.report import task_table as report_tasks
 from tasklens.study.run.outcome import outcome
@@ -38,7 +38,7 @@ def test_numbers_of_the_table(tmp_path):
 
 
 def test_splits_have_other_images():
-    splits, again = (object_splits.make(SceneSettings(size=32, train=3, test=3)) for _ in range(2))
+    splits, again = (render_scenes.splits(SceneSettings(size=32, train=3, test=3)) for _ in range(2))
     assert not torch.equal(splits["train"].images, splits["test"].images)
     assert torch.equal(again["test"].masks, splits["test"].masks)
 

@@ -13,9 +13,8 @@ from torch import nn
 from tasklens.design.criteria import TaskLoss
 from tasklens.design.objective import Objective
 from tasklens.recognition import object_scenes, objects, task_networks, training
-from tasklens.recognition.object_tasks import Detection, Segmentation
+from tasklens.recognition.object_tasks import Detection, Detections, Segmentation
 from tasklens.recognition.objects import ObjectDataset
-from tasklens.recognition.scores import Detections
 from tasklens.runtime.errors import InputError
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.task_settings import TaskSettings

@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 
 from tasklens.design.merit import VIOLATION_UM_PER_MM, Merit
 from tasklens.design.problem import History, Problem
-from tasklens.design.random_starts import random_starts
+from tasklens.design.start import random_starts
 from tasklens.design.variables import ORDERS, Variables
 from tasklens.optics.analysis.spots import heights_at, smallest_aperture, with_vignetting_aperture
 from tasklens.optics.lens import Lens

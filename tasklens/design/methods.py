@@ -12,14 +12,15 @@ from torch import Tensor, nn
 from tasklens.design import descents, least_squares
 from tasklens.design.constraints import limit_margins, smallest_margins, worst_margin
 from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
-from tasklens.design.network_focus import refocus_by_network
+from tasklens.design.objective import Objective
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.design.variables import with_coefficients
 from tasklens.optics.analysis.datasheet import figures, means
-from tasklens.optics.analysis.focus import refocus
+from tasklens.optics.analysis.focus import move_image_plane, refocus
+from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.io import imported
@@ -35,6 +36,12 @@ from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens, LensDesign
 
 _APERTURE = 1.02  # clear semi-diameter / illuminated radius, of an imported lens without apertures
+# Focus by a network
+_FOCUS_IMAGES = slice(24)  # training images in fixed order, each at all fields of the validation
+_MICRO_BATCH = 36
+_PLANES, _STEP = 3, 2.0  # planes on each side of the peak, and the blur that defocus adds to the next [pixels]
+_LAST_STEP = 0.25
+_ROUNDS = 4  # searches after the first, while the best plane is the outermost
 
 Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], mean or worst field, by name
 Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
@@ -130,7 +137,7 @@ def _read_imported(
     if by == "network":
         assert classifier is not None and problem.dataset is not None  # inputs of the job unless the focus needs none
         network = frozen(classifier, problem.dataset.images, "stored")
-        focused = refocus_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
+        focused = _refocus_by_network(lens, TaskLoss(network, Classification(1.0)), problem)
     elif by != "file":
         focused = refocus(lens, problem.view, by)
     origin = {"design": plan.entry.design_name, "method": "file"} | details
@@ -138,6 +145,37 @@ def _read_imported(
     pupil = torch.cat([OUTLINE, sobol_disc(plan.rays, seed=0)])
     radii = clear_semi_diameters(focused, problem.view.at_all_radii(), pupil)
     return with_notes(focused, _APERTURE * radii, plan, origin)
+
+
+def _refocus_by_network(lens: Lens, loss: TaskLoss, problem: Problem) -> Lens:
+    """Move the image plane of a lens to the least loss of a network on training images.
+
+    The search begins at planes around the peak of the MTF, moves on while the best plane is the outermost, and then
+    halves the distance between planes.
+    """
+    objective = Objective(loss, problem, None, False, _MICRO_BATCH, "chief_ray")
+    start = refocus(lens, problem.view)
+    pixel = float(paraxial(lens.detached(), problem.view.reference_um).f_number) * 1e-3 * problem.view.pixel_pitch_um
+    losses: dict[float, float] = {}
+
+    def best_plane(centre: float, planes: int, blur: float) -> float:
+        """Return the shift of the least loss so far [mm], after planes around one."""
+        for k in range(-planes, planes + 1):
+            shift = round(centre + k * blur * pixel, 9)
+            if shift not in losses:
+                losses[shift] = float(objective.fixed_losses(move_image_plane(start, shift), 1.0, _FOCUS_IMAGES).mean())
+        return min(losses, key=lambda shift: losses[shift])
+
+    best = best_plane(0.0, _PLANES, _STEP)
+    for _ in range(_ROUNDS):
+        if min(losses) < best < max(losses):
+            break
+        best = best_plane(best, _PLANES, _STEP)
+    step = _STEP
+    while step > _LAST_STEP:
+        step /= 2
+        best = best_plane(best, 1, step)
+    return move_image_plane(start, best)
 
 
 def _prepared_start(lens: Lens, keep_apertures: bool) -> Lens:

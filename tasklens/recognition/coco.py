@@ -19,7 +19,19 @@ from tasklens.recognition.objects import ObjectDataset, pack
 from tasklens.runtime.files import FileError
 from tasklens.runtime.progress import Progress
 
+_NAMES = {"train": ("train2017", "train"), "test": ("val2017", "val")}  # possible names of the splits
 _LEAST_PIXELS = 12  # minimum area of an object after the crop
+
+
+def split_names(folder: Path) -> dict[str, str]:
+    """Return the names in a folder of the splits `train` and `test`; raises FileError if one has no annotations."""
+    chosen = {}
+    for split, names in _NAMES.items():
+        existing = [name for name in names if (folder / "annotations" / f"instances_{name}.json").exists()]
+        if not existing:
+            raise FileError(f"{folder}: has no annotations/instances_{names[0]}.json, nor instances_{names[1]}.json")
+        chosen[split] = existing[0]
+    return chosen
 
 
 def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> ObjectDataset:

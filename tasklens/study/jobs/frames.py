@@ -12,7 +12,6 @@ from torch import Tensor
 
 from tasklens.camera.blend import capture
 from tasklens.camera.imaging import PsfCamera
-from tasklens.camera.resolution_chart import resolution_chart
 from tasklens.camera.sensor_psfs import pitch_on_sensor, trace_sensor_psfs
 from tasklens.optics.io import prescription, psf_files
 from tasklens.optics.io.spec_section import view_of
@@ -33,6 +32,12 @@ _RULE = (
     "Last rows: the first test image in file order that the network of {one} recognises halfway to the corner\nbut "
     "that of {other} does not, and the first one vice versa, if there are any"
 )
+_SPOKES = 24  # pairs of a star of the chart
+_RADIUS = 0.18  # radius of a star, in chart heights
+_STARS = ((0.0, 0.0), (-0.31, -0.31), (-0.31, 0.31), (0.31, -0.31), (0.31, 0.31))  # places, in height and width
+_PERIODS = (2, 3, 4, 6, 8)  # periods of the line pairs [pixels]
+_BARS = 4  # line pairs per period
+_OVERSAMPLING = 4  # samples per pixel, against aliasing
 
 
 def run(
@@ -73,6 +78,34 @@ def run(
     by_lens = {lens: (psf_of[lens], correct_of[lens]) for lens in names}
     disagreements = _disagreements(settings, by_lens, images)
     draw(figure, title, rows, disagreements, _RULE.format(one=names[0], other=names[-1]))
+
+
+def resolution_chart(height: int, width: int) -> Tensor:
+    """Return a black-and-white chart (3, H, W) of Siemens stars and line pairs; each pixel is the mean over its area.
+
+    Groups of vertical and horizontal line pairs lie between the stars, with `_PERIODS` in order from the centre.
+    """
+    fine = height * _OVERSAMPLING, width * _OVERSAMPLING
+    y, x = ((torch.arange(n) + 0.5) / _OVERSAMPLING - n / _OVERSAMPLING / 2 for n in fine)
+    chart = torch.ones(fine)
+    for row, column in _STARS:
+        across, along = x[None] - column * width, y[:, None] - row * height
+        spokes = torch.sin(_SPOKES * torch.atan2(along, across)) > 0
+        chart[spokes & (torch.hypot(across, along) < _RADIUS * height)] = 0
+    for side in (-1, 1):
+        _bars(chart, x, y, side, _RADIUS * height * 1.15)
+        _bars(chart.T, y, x, side, _RADIUS * height * 1.15)
+    return chart.unflatten(0, (height, -1)).unflatten(2, (width, -1)).mean((1, 3)).expand(3, height, width).contiguous()
+
+
+def _bars(chart: Tensor, x: Tensor, y: Tensor, side: int, start: float) -> None:
+    """Draw groups of line pairs in sequence along x, on one side of the centre, from |x| = start."""
+    for period in _PERIODS:
+        length = math.ceil(_BARS * period / 2) * 2
+        position = side * x - start
+        dark = (position >= 0) & (position < length) & (torch.remainder(position, period) < period / 2)
+        chart[(y.abs() < 16)[:, None] & dark[None]] = 0
+        start += length + 8
 
 
 def _frame_shape(view: View) -> tuple[int, int]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.tracing.trace import compile_tracer
-from tasklens.recognition import class_folders, object_splits
+from tasklens.recognition import class_folders, coco
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.settings.design_settings import GradientDesignSettings
@@ -28,7 +28,8 @@ def check(study: Study, networks: bool, weights: bool) -> None:
         InputError: an input cannot be used; the message names it.
     """
     class_folders.check(study.images)
-    object_splits.check(study.tasks.scenes)
+    if study.tasks.scenes.folder is not None:
+        coco.split_names(study.tasks.scenes.folder)
     for name, classifier in study.classifiers.items():
         if weights and classifier.weights is not None and not classifier.weights.is_file():
             raise FileError(f"classifiers.{name}.weights = {classifier.weights}: no such file; correct the path")
