@@ -10,7 +10,7 @@ import torch
 from examples import write
 from PIL import Image
 
-from tasklens.recognition import class_folders, dataset, folders, photographs
+from tasklens.recognition import class_folders, dataset, folders
 from tasklens.runtime.files import FileError
 from tasklens.settings.image_settings import ImageSettings
 from tasklens.settings.names import SPLITS
@@ -145,9 +145,9 @@ def test_a_folder_one_level_too_high_is_refused(folder):
     for door in (
         lambda: class_folders.check(images(folder).model_copy(update={"test": 1})),
         lambda: class_folders.training_classes(folder),
-        lambda: photographs.test_images(folder, 16, 10),
+        lambda: dataset.test_images(folder, 16, 10),
         lambda: dataset.training_images(images(folder), folder / "images.npy"),
-        lambda: photographs.unused_images(folder, 16),
+        lambda: dataset.unused_images(folder, 16),
         lambda: ranking_run.image_settings(folder, 16, 10, False, False),
     ):
         with pytest.raises(FileError, match=f"but deep has train and test; give {folder}/deep$"):
@@ -156,7 +156,7 @@ def test_a_folder_one_level_too_high_is_refused(folder):
         for split in ("train", "test"):
             (folder / "deep" / split).rename(folder / "deep" / f"{split}_class")
         os.chdir(folder.parent)
-        photographs.test_images(Path(folder.name), 16, 10)
+        dataset.test_images(Path(folder.name), 16, 10)
 
 
 def test_folders_inside_that_may_be_the_classes_are_mentioned(tmp_path, capsys):
@@ -297,4 +297,4 @@ def test_each_split_has_every_class_in_proportion(tmp_path):
     save_photographs(tmp_path, cat=60, dog=60, lynx=6)
     for split in splits_of(ImageSettings(size=16, folder=tmp_path, test=42, minival=42)).values():
         assert torch.bincount(split.labels).tolist() == [20, 20, 2]
-    assert torch.bincount(photographs.unused_images(tmp_path, 16).labels).tolist() == [12, 13, 1]
+    assert torch.bincount(dataset.unused_images(tmp_path, 16).labels).tolist() == [12, 13, 1]

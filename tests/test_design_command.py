@@ -15,7 +15,7 @@ from tasklens.cli.app import main
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.io import lens_files
 from tasklens.recognition.classifiers import Classifier
-from tasklens.recognition.photographs import unused_images
+from tasklens.recognition.dataset import unused_images
 from tasklens.recognition.training import fit
 from tasklens.runtime.files import FileError, write_tensors
 from tasklens.settings.lens_settings import lens_settings

@@ -19,7 +19,8 @@ from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View, drawn_points
-from tasklens.recognition import class_folders, folders, photographs
+from tasklens.recognition import class_folders, folders
+from tasklens.recognition.dataset import PHOTOGRAPH_SIZE
 from tasklens.recognition.image_tensors import Image, image_tensor
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import write_rows
@@ -164,7 +165,7 @@ def capture_folder(
     output: Path,
     lens: Lens,
     view: View,
-    size: int = photographs.SIZE,
+    size: int = PHOTOGRAPH_SIZE,
     field: int | None = None,
     seed: int = 0,
     colour: str | None = None,

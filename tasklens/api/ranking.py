@@ -22,9 +22,9 @@ from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.view import View
-from tasklens.recognition import classifiers, evaluation, pairs, photographs
+from tasklens.recognition import classifiers, evaluation, pairs
 from tasklens.recognition.classifiers import Classifier
-from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition.dataset import PHOTOGRAPH_SIZE, ImageDataset, test_images
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.recognition.sharp import TooFewImages, better_than_guessing
 from tasklens.runtime.devices import CPU
@@ -120,7 +120,7 @@ def rank(
     ):
         raise InputError('rank: expected lenses by name, such as {"mine": tasklens.load_lens("mine.zmx")}')
     if isinstance(images, str | Path):
-        dataset = photographs.test_images(Path(images), photographs.SIZE if size is None else size, max_images)
+        dataset = test_images(Path(images), PHOTOGRAPH_SIZE if size is None else size, max_images)
     elif size is not None:
         raise InputError("size: only for a folder of photographs; resize the images of your data set")
     else:

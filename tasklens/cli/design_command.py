@@ -159,7 +159,7 @@ def design(
     classifier = _network(method.method, network, save_network, force)
     from tasklens.design import single
     from tasklens.design.single import LensRequest
-    from tasklens.recognition.photographs import unused_images
+    from tasklens.recognition.dataset import unused_images
     from tasklens.show import glance
 
     request = LensRequest(

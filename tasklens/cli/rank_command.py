@@ -111,13 +111,13 @@ def rank(
     classifier = network.settings()
     assert classifier is not None  # it has a name
     from tasklens.materials.library import user_files
-    from tasklens.recognition.photographs import SIZE
+    from tasklens.recognition.dataset import PHOTOGRAPH_SIZE
     from tasklens.study import loading
     from tasklens.study.run import ranking_run, screening
 
     spec = sensor.spec()
     paths = screening.lens_paths(lenses)
-    side = SIZE if photographs.size is None else photographs.size
+    side = PHOTOGRAPH_SIZE if photographs.size is None else photographs.size
     tolerances = {} if grade is None else {"grade": grade}
 
     def study(screened: screening.Screened, built: Sequence[str] = ()) -> dict:

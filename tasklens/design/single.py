@@ -14,8 +14,8 @@ from tasklens.design.supervision import Loss, Supervision, UserTask
 from tasklens.materials.library import user_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
-from tasklens.recognition import pairs, photographs
-from tasklens.recognition.dataset import ImageDataset
+from tasklens.recognition import pairs
+from tasklens.recognition.dataset import MAX_IMAGES, PHOTOGRAPH_SIZE, ImageDataset, training_count
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import as_paths
 from tasklens.settings.lens_settings import lens_settings
@@ -67,7 +67,7 @@ def designs(
     """Design one lens, its starting lenses, and the baselines that it is compared with.
 
     Args:
-        held_out: keep photographs apart for a comparison (see `photographs.unused_images`).
+        held_out: keep photographs apart for a comparison (see `dataset.unused_images`).
         baselines: criteria of image quality. One lens is designed by each, with the same start and the same effort.
         remark: callback for each assumption about the lens of `start`, as text, before the design.
     """
@@ -120,8 +120,8 @@ def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, An
     if images is None:
         return None, None
     if not isinstance(images, str | Path):
-        dataset = pairs.of_pairs(images, photographs.MAX_IMAGES)
+        dataset = pairs.of_pairs(images, MAX_IMAGES)
         count = max(len(dataset), 10)
         return {"size": dataset.images.shape[-1], "train": count, "minival": 2, "test": 10}, dataset
-    side, count = photographs.SIZE if size is None else size, photographs.training_count(Path(images), held_out)
+    side, count = PHOTOGRAPH_SIZE if size is None else size, training_count(Path(images), held_out)
     return {"folder": str(images), "size": side, "train": count, "minival": 2}, None

@@ -122,7 +122,7 @@ def check_network(settings: ClassifierSettings, images: ImageSettings) -> str:
         InputError: the network cannot be built or read, or recognises nothing.
     """
     from tasklens.recognition import classifiers, sharp
-    from tasklens.recognition.photographs import test_images
+    from tasklens.recognition.dataset import test_images
 
     assert images.folder is not None
     classifiers.check("network", settings, images.size, len(class_folders.training_classes(images.folder)))
