@@ -168,21 +168,7 @@ def _join(evaluations: Sequence[Evaluation]) -> Evaluation:
     )
 
 
-def zero_shot(classifier: Classifier, untrained: Evaluation) -> list[dict]:
-    """Return the accuracy among all outputs of a network that has unused outputs.
-
-    Args:
-        untrained: evaluation of the test images before any training.
-
-    Returns:
-        Rows (field, metric, value) of `zero_shot_accuracy` [%]; none for a network without unused outputs.
-    """
-    if not classifier.has_more_outputs:
-        return []
-    return _rows({"zero_shot_accuracy": 100 * untrained.among_all.double().mean(-1)})
-
-
-def _rows(columns: Mapping[str, Tensor]) -> list[dict]:
+def rows(columns: Mapping[str, Tensor]) -> list[dict]:
     """Return rows (field, metric, value) of values (F,) by metric."""
     return [
         {"field": field, "metric": metric, "value": value}
@@ -252,4 +238,4 @@ def measure(
         columns["worst_psnr_db"] = sorted_psnr[:, : math.ceil(_WORST * sorted_psnr.shape[-1])].mean(-1)
     answers = dataset.classes if classifier.outputs is None else classifier.outputs
     totals = {"parameters_m": parameters_m(classifier), "chance": 100 / len(answers)}
-    return _rows(columns) + [{"field": "", "metric": metric, "value": value} for metric, value in totals.items()]
+    return rows(columns) + [{"field": "", "metric": metric, "value": value} for metric, value in totals.items()]

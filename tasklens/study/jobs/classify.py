@@ -45,11 +45,12 @@ def fine_tune(
     choice = pipeline("selection")
     initial_network = classifiers.frozen(network, images.images)
     before = evaluation.evaluate(initial_network, selection, choice, "minival, before training", checkpoint)
-    zero_shot, untrained = [], None
+    zero_shot: list[dict] = []
+    untrained = None
     if network.has_more_outputs:
         part = pipeline("grading"), "test, before training", checkpoint
         untrained = evaluation.evaluate(initial_network, images, *part)
-        zero_shot = evaluation.zero_shot(network, untrained)
+        zero_shot = evaluation.rows({"zero_shot_accuracy": 100 * untrained.among_all.double().mean(-1)})
     training.fit(
         network,
         training_images,
