@@ -17,7 +17,7 @@ import torch
 from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 
-from restoration.nafnet import build
+from restoration.nafnet import NAFNet
 from tasklens.recognition.classifiers import Classifier
 from tasklens.settings.design_settings import GradientDesignSettings
 from tasklens.settings.names import SHARP
@@ -50,7 +50,7 @@ class Cost:
         """Operations of a classifier of the study, or of the restoration network if the name is None."""
         with torch.device("meta"):
             if classifier is None:
-                return operations(build(self.study.restoration), size)
+                return operations(NAFNet(self.study.restoration), size)
             return operations(build_classifier(self.study.classifier(classifier)), size)
 
     def design(self, lens: str) -> float:

@@ -48,26 +48,21 @@ class NAFBlock(nn.Module):
 
 
 class NAFNet(nn.Module):
-    """A U-net of NAFBlocks that adds a correction to its input.
+    """A U-net of NAFBlocks that adds a correction to its input."""
 
-    Args:
-        width: channels at full resolution; each encoder level doubles them.
-        encoder, middle, decoder: number of blocks per level.
-    """
-
-    def __init__(self, width: int, encoder: tuple[int, ...], middle: int, decoder: tuple[int, ...]):
+    def __init__(self, settings: RestorationSettings):
         super().__init__()
-        self.multiple = 2 ** len(encoder)
+        width, self.multiple = settings.width, settings.multiple
         self.intro = nn.Conv2d(3, width, 3, padding=1)
         self.encoders, self.downs = nn.ModuleList(), nn.ModuleList()
         c = width
-        for blocks in encoder:
+        for blocks in settings.encoder:
             self.encoders.append(nn.Sequential(*(NAFBlock(c) for _ in range(blocks))))
             self.downs.append(nn.Conv2d(c, 2 * c, 2, stride=2))
             c *= 2
-        self.middle_blks = nn.Sequential(*(NAFBlock(c) for _ in range(middle)))
+        self.middle_blks = nn.Sequential(*(NAFBlock(c) for _ in range(settings.middle)))
         self.ups, self.decoders = nn.ModuleList(), nn.ModuleList()
-        for blocks in decoder:
+        for blocks in settings.decoder:
             self.ups.append(nn.Sequential(nn.Conv2d(c, 2 * c, 1, bias=False), nn.PixelShuffle(2)))
             c //= 2
             self.decoders.append(nn.Sequential(*(NAFBlock(c) for _ in range(blocks))))
@@ -96,14 +91,9 @@ class NAFNet(nn.Module):
         return self.ending(x)
 
 
-def build(settings: RestorationSettings) -> NAFNet:
-    """Build the untrained network of `settings`."""
-    return NAFNet(settings.width, settings.encoder, settings.middle, settings.decoder)
-
-
 def load(settings: RestorationSettings, path: Path) -> NAFNet:
     """Read a trained network in `eval()`; raises FileError if the file does not have the weights of `settings`."""
-    network = build(settings)
+    network = NAFNet(settings)
     try:
         network.load_state_dict(read_tensors(path)[0])
     except RuntimeError as error:  # its first line suffices: the others list tensors

@@ -6,7 +6,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from restoration.nafnet import NAFNet, build
+from restoration.nafnet import NAFNet
 from tasklens.camera.imaging import psnr
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.evaluation import CapturePipeline
@@ -52,7 +52,7 @@ def train(
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    network = build(settings).to(dataset.device)
+    network = NAFNet(settings).to(dataset.device)
     optimizer = torch.optim.AdamW(network.parameters(), settings.learning_rate, _BETAS, weight_decay=0.0, fused=True)
     schedule = warmup_cosine(optimizer, settings.steps, _WARMUP)
     progress = Progress("restoration", settings.steps)
@@ -61,9 +61,14 @@ def train(
     for step in range(part.step + 1, settings.steps + 1):
         images, _ = dataset.batch(order.next())
         pairs = torch.stack([pipeline.one_field(images, generator), images])
-        quality = _step(network, optimizer, *_crop(pairs, settings.crop, generator))
-        _check_finite("PSNR", quality, step)
-        progress(step, psnr_db=quality)
+        captures, sharp = _crop(pairs, settings.crop, generator)
+        quality = psnr(network(captures), sharp).mean()
+        _check_finite("PSNR", quality.item(), step)
+        optimizer.zero_grad()
+        (-quality).backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), _GRADIENT_NORM)
+        optimizer.step()
+        progress(step, psnr_db=quality.item())
         if step % settings.check == 0 or step == settings.steps:
             validation_psnr = _validation_psnr(network, minival, validation_pipeline)
             _check_finite("PSNR of the minival", validation_psnr, step)
@@ -86,17 +91,6 @@ def _crop(images: Tensor, side: int | None, generator: torch.Generator) -> Tenso
 def _check_finite(name: str, value: float, step: int) -> None:
     if not math.isfinite(value):
         raise FloatingPointError(f"restoration: {name} = {value} at step {step}; lower restoration.learning_rate")
-
-
-def _step(network: NAFNet, optimizer: torch.optim.Optimizer, captures: Tensor, images: Tensor) -> float:
-    """Return the mean PSNR [dB] of restored captures (B, 3, H, W), and take a step if it is finite."""
-    quality = psnr(network(captures), images).mean()
-    if torch.isfinite(quality):
-        optimizer.zero_grad()
-        (-quality).backward()
-        torch.nn.utils.clip_grad_norm_(network.parameters(), _GRADIENT_NORM)
-        optimizer.step()
-    return quality.item()
 
 
 @torch.no_grad()

@@ -45,8 +45,7 @@ def fine_tune(
     choice = pipeline("selection")
     initial_network = classifiers.frozen(network, images.images)
     before = evaluation.evaluate(initial_network, selection, choice, "minival, before training", checkpoint)
-    zero_shot: list[dict] = []
-    untrained = None
+    zero_shot, untrained = [], None
     if network.has_more_outputs:
         part = pipeline("grading"), "test, before training", checkpoint
         untrained = evaluation.evaluate(initial_network, images, *part)
