@@ -29,7 +29,7 @@ class Supervision:
 
     images: ImageDataset | None = None
     network: nn.Module | None = None
-    task: Task | None = None
+    task: "UserTask | None" = None
 
 
 OF_SETTINGS = Supervision()  # images and network by the settings of the designs
@@ -103,15 +103,9 @@ def supervision(
         raise InputError(
             "network: no parameter requires a gradient, so there is nothing to train; call its requires_grad_(True)"
         )
-    if user.network is not None:
-        _check(network, images, user.task)
-    if isinstance(user.task, UserTask):
+    if user.network is not None or user.task is not None:
         parts = [part for entry in entries for part in entry.descents if part.criterion == "task"]
-        if images.labels.dim() > 1 and any(entry.augmented for entry in entries if entry.by_network):
-            raise InputError(
-                "augment: it shifts and turns images, but not labels such as masks; give settings={'augment': False}"
-            )
-        _check_settings(parts, user.task, network, images)
+        _check(network, images, user.task, parts, any(entry.augmented for entry in entries if entry.by_network))
     if user.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
         print(f"tasklens: {sharp.check_accuracy(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)
@@ -127,24 +121,15 @@ def _classes(settings: ImageSettings, user: Supervision) -> Sequence[str]:
     return [str(k) for k in range(RENDERED_CLASSES)]
 
 
-def _check_settings(
-    parts: Sequence[DescentSettings], task: UserTask, network: nn.Module, dataset: ImageDataset
+def _check(
+    network: nn.Module, dataset: ImageDataset, task: UserTask | None, parts: Sequence[DescentSettings], augmented: bool
 ) -> None:
-    """Check that a user's loss can have the settings of the descents by it; raises InputError."""
-    if dataset.labels.dim() > 1 and any(part.size is not None for part in parts):
-        raise InputError("size: labels of images, such as masks, keep their size; omit it")
-    if any(part.temperature != 1 for part in parts):
-        raise InputError("temperature: only for the loss of a classifier; omit it if you give a `loss`")
-    if any(part.corner_weight != 1 for part in parts):
-        from tasklens.recognition.classifiers import frozen
+    """Check that the answer of a user's network, or its loss, can be used with the settings; raises InputError.
 
-        images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
-        if task.function(frozen(network, dataset.images)(images), labels).dim() == 0:
-            raise InputError("corner_weight: expected a `loss` that returns a number for each image, not their mean")
-
-
-def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None:
-    """Check that the answer of a user's network, or its loss, can be used; raises InputError."""
+    Args:
+        parts: settings of the descents by the network.
+        augmented: whether their images are augmented.
+    """
     from tasklens.recognition.classifiers import check_logits, frozen
 
     images, labels = dataset.batch(torch.arange(min(2, len(dataset))))
@@ -162,3 +147,13 @@ def _check(network: nn.Module, dataset: ImageDataset, task: Task | None) -> None
         raise InputError(f"loss: expected a finite number, or one for each image, got {loss}")
     if not loss.requires_grad or not torch.autograd.grad(loss, images)[0].any():
         raise InputError("loss: has no gradient with respect to the images; the network or the loss detaches them")
+    if dataset.labels.dim() > 1 and augmented:
+        raise InputError(
+            "augment: it shifts and turns images, but not labels such as masks; give settings={'augment': False}"
+        )
+    if dataset.labels.dim() > 1 and any(part.size is not None for part in parts):
+        raise InputError("size: labels of images, such as masks, keep their size; omit it")
+    if any(part.temperature != 1 for part in parts):
+        raise InputError("temperature: only for the loss of a classifier; omit it if you give a `loss`")
+    if any(part.corner_weight != 1 for part in parts) and task.function(answer, labels).dim() == 0:
+        raise InputError("corner_weight: expected a `loss` that returns a number for each image, not their mean")
