@@ -244,19 +244,26 @@ def check(images: ImageSettings) -> None:
     Raises:
         FileError: the message names the folder, the expected and the actual contents.
     """
-    if images.folder is None:
+    if (folder := images.folder) is None:
         return
-    if not is_split(images.folder):
-        _check_whole(images, images.folder)
-        return
-    splits = [train_folder(images.folder), test_folder(images.folder)]
-    train, test = (classes(split, 1) for split in splits)
-    same_classes(images.folder, train, test)
-    training_classes(images.folder)  # two or more
+    splits = [train_folder(folder), test_folder(folder)] if is_split(folder) else [folder]
+    if len(splits) == 2:
+        same_classes(folder, *(classes(split, 1) for split in splits))
+    classes(splits[0])  # two or more
+    if len(splits) == 1 and images.train is None and images.test is None:
+        raise FileError(
+            f"images.folder = {folder}: has neither train nor test; set images.test or images.train to the number of "
+            "photographs for it"
+        )
     for split in splits:
         for name in classes(split):
             if next(photographs(split / name), None) is None:
                 raise no_image(split / name)
+    if len(splits) == 1:  # it will be cut into test, minival and training images
+        minimum = (images.test or 1) + images.minival + (images.train or 1)
+        if (total := count(folder, minimum)) < minimum:
+            raise FileError(f"{folder}: has {total} images; test, minival and train of `images` ask for {minimum}")
+        return
     minimum = images.minival + 1
     if (total := count(splits[0], minimum)) < minimum:
         raise too_few(images, total)
@@ -266,22 +273,6 @@ def check(images: ImageSettings) -> None:
             raise FileError(
                 f"{split}: has {total} images, {keys} of `images` ask for {request}; ask for fewer, or null for all"
             )
-
-
-def _check_whole(images: ImageSettings, folder: Path) -> None:
-    """Check a folder of classes that will be split into test, minival and training images; raises FileError."""
-    names = classes(folder)
-    if images.train is None and images.test is None:
-        raise FileError(
-            f"images.folder = {folder}: has neither train nor test; set images.test or images.train to the number of "
-            "photographs for it"
-        )
-    for name in names:
-        if next(photographs(folder / name), None) is None:
-            raise no_image(folder / name)
-    minimum = (images.test or 1) + images.minival + (images.train or 1)
-    if (total := count(folder, minimum)) < minimum:
-        raise FileError(f"{folder}: has {total} images; test, minival and train of `images` ask for {minimum}")
 
 
 def count(split: Path, most: int) -> int:
