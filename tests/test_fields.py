@@ -13,7 +13,6 @@ from scipy.stats import chi2
 from torch import nn
 
 import tasklens
-from tasklens.camera.exposure import noise
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design.constraints import all_margins, limit_margins, worst_margin
 from tasklens.design.criteria import Contrast, SpotRadius, TaskLoss
@@ -110,7 +109,7 @@ def test_training_at_nine_fields_draws_the_numbers_of_before():
     fields = CapturePipeline(camera).one_field(images, torch.Generator().manual_seed(5))
     generator = torch.Generator().manual_seed(5)
     assert torch.equal(fields, torch.randint(9, (30,), generator=generator))
-    assert torch.equal(camera.sample, noise(images.shape, generator))
+    assert torch.equal(camera.sample, torch.randn(images.shape, generator=generator))
 
 
 def test_a_step_of_training_sees_one_draw():

@@ -8,7 +8,7 @@ from examples import f64
 from kornia.color import rgb_to_linear_rgb
 from kornia.filters import filter2d
 
-from tasklens.camera.exposure import expose, noise
+from tasklens.camera.exposure import expose
 from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.recognition.evaluation import CapturePipeline
 from tasklens.runtime.errors import InputError
@@ -186,7 +186,9 @@ def test_moments_are_those_of_electrons(gain, light, share):
     """Mean W E and variance W E + r^2, W = 6000 / gain times the illumination; 200 x 200 pixels of three colours."""
     sensor = FINE.model_copy(update={"gain": gain, "read_noise": 3})
     flat = torch.full((1, 3, 200, 200), light)
-    capture = expose(flat, sensor, torch.tensor([share]), noise(flat.shape, torch.Generator().manual_seed(1)))
+    capture = expose(
+        flat, sensor, torch.tensor([share]), torch.randn(flat.shape, generator=torch.Generator().manual_seed(1))
+    )
     white = 6000 / gain * share
     electrons = white * rgb_to_linear_rgb(capture.double())
     error = math.sqrt((white * light + 9) / 120_000)
@@ -198,7 +200,7 @@ def test_much_light_leaves_the_capture_and_its_levels():
     """With 1e9 electrons only the rounding is left: half a level of 4 bits at most, and 16 values."""
     sensor = SensorSettings(full_well=1e9, bits=4)
     image = torch.rand(2, 3, 8, 8, generator=torch.Generator().manual_seed(0))
-    sample = noise(image.shape, torch.Generator().manual_seed(0))
+    sample = torch.randn(image.shape, generator=torch.Generator().manual_seed(0))
     capture = expose(rgb_to_linear_rgb(image), sensor, torch.ones(2), sample)
     assert (capture - image).abs().max() <= 0.5 / 15 + 1e-6
     torch.testing.assert_close(capture * 15, (capture * 15).round(), rtol=0, atol=1e-5)

@@ -48,7 +48,7 @@ def test_segmentation_of_a_network_that_knows():
     task, indices = Segmentation(dataset, OUTPUTS), torch.arange(2)
     truth = torch.stack([objects.semantic(*dataset.objects_of(k)) for k in range(2)])
     knows = Says(truth, 11)
-    captures = dataset.batch(indices)
+    captures = dataset.as_images().batch(indices)[0]
     assert float(task.loss(knows, captures, indices, NOT_FLIPPED)) < 1e-6
     assert float(task.loss(knows, captures, indices, ~NOT_FLIPPED)) > 1.0
     assert float(task.loss(Says(truth.flip(-1), 11), captures, indices, ~NOT_FLIPPED)) < 1e-6
@@ -68,7 +68,7 @@ def test_detection_of_the_truth_is_perfect():
             return [truth(*dataset.objects_of(k)) for k in range(len(images))]
 
     task, indices = Detection(dataset, OUTPUTS, with_masks=True), torch.arange(4)
-    answers = task.answers(Knows(), dataset.batch(indices))
+    answers = task.answers(Knows(), dataset.as_images().batch(indices)[0])
     assert isinstance(answers[0], Detections)
     scores = task.scores(answers, indices)
     assert scores == pytest.approx(dict.fromkeys(("mask_ap", "mask_ap50", "box_ap", "box_ap50"), 100.0))
@@ -86,7 +86,7 @@ def test_objects_of_flipped_images_are_flipped():
 
     task, indices = Detection(dataset, OUTPUTS, with_masks=True), torch.arange(2)
     for flipped in (NOT_FLIPPED, ~NOT_FLIPPED):
-        task.loss(Records(), dataset.batch(indices), indices, flipped)
+        task.loss(Records(), dataset.as_images().batch(indices)[0], indices, flipped)
     for plain, mirrored in zip(*batches, strict=True):
         left, top, right, bottom = plain["boxes"].T
         assert torch.equal(mirrored["boxes"], torch.stack([32 - right, top, 32 - left, bottom], 1))
@@ -97,10 +97,10 @@ def test_objects_of_flipped_images_are_flipped():
 def test_losses_of_segmentation_are_of_each_image():
     dataset = data()
     task, network = Segmentation(dataset, OUTPUTS), Says(torch.zeros(2, 32, 32, dtype=torch.long), 11)
-    losses = task.losses(network, dataset.batch(torch.arange(2)), torch.arange(2))
+    losses = task.losses(network, dataset.as_images().batch(torch.arange(2))[0], torch.arange(2))
     background = [float((objects.semantic(*dataset.objects_of(k)) == 0).double().mean()) for k in range(2)]
     assert losses.tolist() == pytest.approx([20 * (1 - share) for share in background], rel=1e-4)
-    whole = task.loss(network, dataset.batch(torch.arange(2)), torch.arange(2), NOT_FLIPPED)
+    whole = task.loss(network, dataset.as_images().batch(torch.arange(2))[0], torch.arange(2), NOT_FLIPPED)
     assert float(whole) == pytest.approx(float(losses.mean()), rel=1e-6)
 
 
@@ -125,7 +125,7 @@ def test_losses_have_gradients_at_captures(content):
     dataset = data()
     network = task_networks.frozen(task_networks.build("a", settings(content), 10, 32))
     task = Segmentation(dataset, OUTPUTS) if content is SEGMENTATION else Detection(dataset, OUTPUTS, content is MASKS)
-    captures = dataset.batch(torch.arange(2)).requires_grad_()
+    captures = dataset.as_images().batch(torch.arange(2))[0].requires_grad_()
     task.loss(network, captures, torch.arange(2), NOT_FLIPPED).backward()
     assert captures.grad is not None and captures.grad.isfinite().all() and captures.grad.abs().sum() > 0
     assert all(parameter.grad is None for parameter in network.parameters())
@@ -143,7 +143,9 @@ def test_a_small_network_learns_where_objects_are():
         torch.manual_seed(1)
         network.train()
         indices = torch.arange(8)
-        return float(task.loss(network, dataset.batch(indices), indices, torch.zeros(8, dtype=torch.bool)))
+        return float(
+            task.loss(network, dataset.as_images().batch(indices)[0], indices, torch.zeros(8, dtype=torch.bool))
+        )
 
     before = loss()
     training.fit(network, dataset.as_images(), fit_settings, 0, "test", task=task)

@@ -11,7 +11,6 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from tasklens.camera.exposure import noise
 from tasklens.camera.imaging import PsfCamera, check_capture
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.paraxial import check_focal_length
@@ -228,7 +227,7 @@ def capture_folder(
     for first in range(0, len(files), _BLOCK):
         block = slice(first, first + _BLOCK)
         images = folders.read_all(files[block], size).float() / 255
-        samples = None if sensor is None else noise(images.shape, generator)
+        samples = None if sensor is None else torch.randn(images.shape, generator=generator)
         for name, capture in zip(names[block], camera(images, fields[block], samples), strict=True):
             path = output / name
             path.parent.mkdir(parents=True, exist_ok=True)

@@ -101,20 +101,16 @@ def blend(image: Tensor, psfs: SensorPsfs, linear: bool = True) -> Tensor:
     if psfs.illumination is not None:
         share = psfs.illumination.to(image)
         image = image * share if linear else linear_rgb_to_rgb(rgb_to_linear_rgb(image) * share)
-    canvas = _grow(_convolve(image, psfs.core, psfs, 1), margin - psfs.core.shape[-1] // 2)
+    canvas = F.pad(_convolve(image, psfs.core, psfs, 1), (margin - psfs.core.shape[-1] // 2,) * 4)
     if psfs.halo is not None:
         step = psfs.halo_pixel
         large = F.avg_pool2d(F.pad(image, (0, -width % step, 0, -height % step)), step)
         spread = F.interpolate(_convolve(large, psfs.halo, psfs, step)[None], scale_factor=step, mode="bilinear")[0]
         beyond = margin - step * (psfs.halo.shape[-1] // 2)
-        canvas = canvas + _grow(spread, beyond)[:, : canvas.shape[1], : canvas.shape[2]]
+        canvas = canvas + F.pad(spread, (beyond,) * 4)[:, : canvas.shape[1], : canvas.shape[2]]
     capture = _fold(_fold(canvas, margin).mT, margin).mT
     missing = image.double().sum((-2, -1), keepdim=True) - capture.double().sum((-2, -1), keepdim=True)
     return capture + (missing / (height * width)).to(capture)
-
-
-def _grow(canvas: Tensor, margin: int) -> Tensor:
-    return F.pad(canvas, (margin,) * 4)
 
 
 def _fold(canvas: Tensor, margin: int) -> Tensor:

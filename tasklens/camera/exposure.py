@@ -1,6 +1,5 @@
 """Exposure of a sensor: shot and read noise, and quantised sRGB values."""
 
-from collections.abc import Sequence
 from typing import Any
 
 import torch
@@ -13,11 +12,6 @@ from tasklens.settings.capture_settings import SensorSettings
 
 _DARK = 0.0031308  # linear light below which sRGB is linear, and its slope there
 _DARK_SLOPE = 12.92
-
-
-def noise(shape: Sequence[int], generator: torch.Generator) -> Tensor:
-    """Return standard normal numbers."""
-    return torch.randn(tuple(shape), generator=generator)
 
 
 def expose(light: Tensor, sensor: SensorSettings, illumination: Tensor, noise: Tensor) -> Tensor:

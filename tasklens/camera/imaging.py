@@ -14,7 +14,7 @@ from kornia.color import linear_rgb_to_rgb, rgb_to_linear_rgb
 from torch import Tensor
 
 from tasklens.camera.convolution import Run, convolve
-from tasklens.camera.exposure import expose, noise
+from tasklens.camera.exposure import expose
 from tasklens.runtime.devices import send
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import as_tensor, explain_errors
@@ -109,7 +109,7 @@ class PsfCamera:
         if self.sensor is None:
             return self._develop(output)
         illumination = self.illumination[list(fields), None].expand(output.shape[:2])
-        sample = noise(output.transpose(0, 1).shape, generator or torch.default_generator).transpose(0, 1)
+        sample = torch.randn(output.transpose(0, 1).shape, generator=generator).transpose(0, 1)
         return self._develop(output, illumination, sample)
 
     @torch.compiler.disable
@@ -135,7 +135,7 @@ class PsfCamera:
         if self.sensor is None and sample is not None:
             raise InputError("sample: only for a camera with a `sensor`")
         if self.sensor is not None and sample is None:
-            sample = noise(images.shape, torch.default_generator)
+            sample = torch.randn(images.shape)
         if sample is not None and sample.shape != images.shape:
             raise InputError(
                 f"sample: expected the shape of the images, {tuple(images.shape)}, got {tuple(sample.shape)}"

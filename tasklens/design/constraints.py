@@ -92,8 +92,8 @@ def first_order_margins(lens: Lens, limits: Constraints, view: View, chief: Rays
         "distortion": limits.distortion - distortion(ideal, points)[off_axis].abs(),
     }
     if limits.max_chief_ray_angle_deg is not None:
-        direction = (v[off_axis, 0, 0] for v in (chief.l, chief.m, chief.n))
-        margins["chief_ray_angle"] = math.radians(limits.max_chief_ray_angle_deg) - chief_ray_angle(*direction)
+        l, m, n = (v[off_axis, 0, 0] for v in (chief.l, chief.m, chief.n))
+        margins["chief_ray_angle"] = math.radians(limits.max_chief_ray_angle_deg) - torch.atan2(torch.hypot(l, m), n)
     return margins
 
 
@@ -103,11 +103,6 @@ def all_margins(
     """Compute the margins of all limits at clear apertures `semi_diameter` (S,) [mm]; `chief` defaults to a trace."""
     chief = chief_rays(lens, view) if chief is None else chief
     return manufacturing_margins(lens, limits, semi_diameter) | first_order_margins(lens, limits, view, chief)
-
-
-def chief_ray_angle(l: Tensor, m: Tensor, n: Tensor) -> Tensor:
-    """Compute the angle of rays with the axis [rad]."""
-    return torch.atan2(torch.hypot(l, m), n)
 
 
 def violation(margins: Mapping[str, Tensor]) -> Tensor:

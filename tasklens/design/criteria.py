@@ -70,15 +70,10 @@ def loss_at_psf(
         loss = factors * criterion.losses(batch, images[rows], labels[rows])
         (loss.sum() / len(inputs)).backward()
         losses.append(loss.detach())
-        gradients.append(_gradient(batch))
-    captures.backward(torch.cat(gradients).reshape(captures.shape))
-    return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), _gradient(leaf).to(grid)
-
-
-def _gradient(leaf: Tensor) -> Tensor:
-    """Return the gradient of a leaf after a backward pass."""
-    assert leaf.grad is not None
-    return leaf.grad
+        assert batch.grad is not None
+        gradients.append(batch.grad)
+    (at_psf,) = torch.autograd.grad(captures, leaf, torch.cat(gradients).reshape(captures.shape))
+    return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), at_psf.to(grid)
 
 
 class _Criterion:

@@ -9,7 +9,6 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from tasklens.camera.exposure import noise
 from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.optics.io import psf_files
 from tasklens.recognition.classifiers import Classifier, parameters_m
@@ -63,7 +62,7 @@ class CapturePipeline:
         count = len(self.camera.psf) // self.turns
         first = count * int(torch.randint(self.turns, (), generator=generator)) if self.turns > 1 else 0
         fields = first + torch.randint(count, (len(images),), generator=generator)
-        pixel_noise = None if self.camera.sensor is None else noise(images.shape, generator)
+        pixel_noise = None if self.camera.sensor is None else torch.randn(images.shape, generator=generator)
         return self._restore(self.camera(images, fields, pixel_noise))
 
     def all_fields(self, images: Tensor, batch: int = 0) -> Tensor:

@@ -23,7 +23,7 @@ class ObjectDataset:
         labels: (M,) int64 classes.
         masks: (M, H W / 8) uint8, eight pixels per byte, row by row.
         classes: names of the classes, without the background.
-        device: device of batches.
+        device: device of batches of `as_images`.
     """
 
     images: Tensor
@@ -40,10 +40,6 @@ class ObjectDataset:
         """Return the labels (K,) of the objects of an image, and their masks (K, H, W) bool."""
         first, last = torch.searchsorted(self.owner, torch.tensor([image, image + 1])).tolist()
         return self.labels[first:last], unpack(self.masks[first:last], self.images.shape[-2:])
-
-    def batch(self, indices: Tensor) -> Tensor:
-        """Return images (B, 3, H, W) in [0, 1], float32, on the device."""
-        return self.images[indices].to(self.device).float() / 255
 
     def as_images(self) -> ImageDataset:
         """Return the images without objects; the label of each image is its index."""
