@@ -12,7 +12,6 @@ from tasklens.settings.design_settings import DesignSettings, GradientDesignSett
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
 from tasklens.settings.messages import in_words
-from tasklens.study import ablations
 from tasklens.study.study import Study
 
 _RESERVED = {  # names by section, and their use
@@ -118,7 +117,14 @@ def _check_ablation(study: Study, name: str) -> None:
             )
         _check_references(study, f"ablations.{name}.variants.{variant}", lenses[variant].design)
     base = study.lens(f"{ablation.elements}-{ablation.design}").design
-    ablations.check_differences(lenses, base, study.capture, study.fields.design, f"ablations.{name}.variants")
+    seen = [((base, study.capture, study.fields.design), "the design itself")]
+    for variant, entry in lenses.items():
+        values = entry.design, entry.capture or study.capture, entry.fields or study.fields.design
+        if same := [words for others, words in seen if others == values]:
+            raise ValueError(
+                f"ablations.{name}.variants.{variant}: has the same values as {same[0]}; change one, or remove it"
+            )
+        seen.append((values, f"the variant {variant}"))
 
 
 def _check_networks(study: Study) -> None:

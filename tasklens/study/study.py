@@ -2,9 +2,9 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
-from pydantic import Field, ValidationInfo, field_serializer, field_validator
+from pydantic import Field, TypeAdapter, ValidationInfo, field_serializer, field_validator
 
 from tasklens.materials.library import Library
 from tasklens.materials.material import Material, from_definitions
@@ -13,19 +13,20 @@ from tasklens.runtime.files import FileError
 from tasklens.settings.base import Frozen, Name, Rays, Seed, StudyName
 from tasklens.settings.capture_settings import CaptureSettings
 from tasklens.settings.design_settings import DesignSettings, LeastSquaresSettings
-from tasklens.settings.field_settings import FieldSettings, Points, points
+from tasklens.settings.field_settings import FieldSet, FieldSettings, Points, points
 from tasklens.settings.image_settings import ImageSettings
+from tasklens.settings.layers import merged_settings
 from tasklens.settings.lens_entries import ImportedLens, LensEntry
 from tasklens.settings.messages import validate
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings, TrainingSettings
 from tasklens.settings.specification import Constraints, Spec
 from tasklens.settings.task_settings import TaskSettings, TasksSettings
 from tasklens.settings.tolerance_settings import ToleranceSettings
-from tasklens.study.ablations import Ablation, variant_entry
 from tasklens.study.sweep import Sweep
 
 TableName = Literal["table1", "table2", "table3", "table4"]
 TABLES: tuple[TableName, ...] = get_args(TableName)
+_DESIGN: TypeAdapter[DesignSettings] = TypeAdapter(DesignSettings)
 
 
 class StudyError(InputError):
@@ -39,6 +40,24 @@ class RankingSettings(Frozen):
     left_out: dict[str, str] = Field({}, description="Lenses that are not measured, with the reason.")
     mtf: dict[str, float] = Field({}, description="Mean MTF of lenses, by which the sieve chose them.")
     built: tuple[str, ...] = Field((), description="Lenses to build in simulation.")
+
+
+class Ablation(Frozen):
+    """Variants of one design of one set of elements.
+
+    Attributes:
+        elements, design: names of the elements and of the design.
+        variants: by name, the keys of the design that differ; `capture` holds keys of the study's capture that differ
+            both in the design and in the measurement of the variant, and `fields` the fields of its losses.
+    """
+
+    elements: Name
+    design: Name
+    variants: Annotated[dict[Name, dict[str, Any]], Field(min_length=1)]
+
+    def name(self, ablation: str, variant: str) -> str:
+        """Return the design name of a variant."""
+        return f"{self.design}_{ablation}_{variant}"
 
 
 class Study(Frozen):
@@ -136,9 +155,24 @@ class Study(Frozen):
         return {name: material.definition() for name, material in materials.items()}
 
     def variant(self, name: str, variant: str) -> LensEntry:
-        """Return the lens of a variant of the ablation `name`; raises ValueError."""
-        ablation = self.ablations[name]
-        return variant_entry(self._design(ablation.elements, ablation.design), self.capture, name, ablation, variant)
+        """Return the lens of a variant of the ablation `name`.
+
+        Raises:
+            ValueError: invalid changes (pydantic's ValidationError), a `capture` that is no mapping, or a sensor
+                without a choice of `colour`.
+        """
+        ablation, where = self.ablations[name], f"ablations.{name}.variants.{variant}.capture"
+        changes = dict(ablation.variants[variant])
+        other, fields = changes.pop("capture", None), changes.pop("fields", None)
+        if not isinstance(other, dict | None):
+            raise ValueError(f"{where}: expected keys and values, got {other!r}")
+        if other is not None:
+            self.capture.check_new_sensor(other, where)
+        design = _DESIGN.validate_python(merged_settings(self.designs[ablation.design].model_dump(), changes))
+        capture = None
+        if other is not None:
+            capture = CaptureSettings.model_validate(merged_settings(self.capture.model_dump(), other))
+        return self._entry(ablation.elements, ablation.name(name, variant), design, capture, fields)
 
     def spec_of(self, elements: str) -> Spec:
         """Return the specification of some elements: `spec` changed by their entry in `specs`; raises ValueError."""
@@ -175,14 +209,25 @@ class Study(Frozen):
             for name, lens in self.imported.items()
         }
 
-    def _design(self, elements: str, design: str) -> LensEntry:
-        settings = self.designs[design]
+    def _design(self, elements: str, name: str) -> LensEntry:
+        return self._entry(elements, name, self.designs[name])
+
+    def _entry(
+        self,
+        elements: str,
+        name: str,
+        design: DesignSettings,
+        capture: CaptureSettings | None = None,
+        fields: FieldSet | None = None,
+    ) -> LensEntry:
         return LensEntry(
-            name=f"{elements}-{design}",
+            name=f"{elements}-{name}",
             elements=elements,
             plastics=tuple(self.materials[plastic] for plastic in self.elements[elements]),
-            design_name=design,
-            design=settings.of_elements(elements) if isinstance(settings, LeastSquaresSettings) else settings,
+            design_name=name,
+            design=design.of_elements(elements) if isinstance(design, LeastSquaresSettings) else design,
+            capture=capture,
+            fields=fields,
         )
 
     @property
