@@ -15,44 +15,20 @@ Percent = Annotated[float, Field(ge=0, le=50)]
 # diamond turning, precision". The decentre of an element in its barrel is half of that page's tolerance of the
 # diameter. Tilts are our choice: the tolerance of the thickness across 5 mm of flange. Index and dispersion:
 # OpticStudio's default tolerances, 0.001 and 1 %; half of them for precise moulding, our choice.
-GRADES: dict[str, dict[str, float]] = {
-    "commercial_moulding": {
-        "radius_percent": 1.0,
-        "irregularity_fringes": 6.0,
-        "thickness_um": 25.0,
-        "air_space_um": 25.0,
-        "index": 0.001,
-        "dispersion_percent": 1.0,
-        "surface_decentre_um": 25.0,
-        "surface_tilt_mrad": 5.0,
-        "element_decentre_um": 25.0,
-        "element_tilt_mrad": 5.0,
-    },
-    "precision_moulding": {
-        "radius_percent": 0.5,
-        "irregularity_fringes": 3.0,
-        "thickness_um": 15.0,
-        "air_space_um": 15.0,
-        "index": 0.0005,
-        "dispersion_percent": 0.5,
-        "surface_decentre_um": 15.0,
-        "surface_tilt_mrad": 3.0,
-        "element_decentre_um": 12.5,
-        "element_tilt_mrad": 3.0,
-    },
-    "phone_moulding": {
-        "radius_percent": 0.1,
-        "irregularity_fringes": 2.0,
-        "thickness_um": 5.0,
-        "air_space_um": 5.0,
-        "index": 0.0005,
-        "dispersion_percent": 0.5,
-        "surface_decentre_um": 2.0,
-        "surface_tilt_mrad": 1.0,
-        "element_decentre_um": 2.5,
-        "element_tilt_mrad": 1.0,
-    },
+_GRADES = ("commercial_moulding", "precision_moulding", "phone_moulding")
+_TOLERANCES = {  # in the order of `_GRADES`
+    "radius_percent": (1.0, 0.5, 0.1),
+    "irregularity_fringes": (6.0, 3.0, 2.0),
+    "thickness_um": (25.0, 15.0, 5.0),
+    "air_space_um": (25.0, 15.0, 5.0),
+    "index": (0.001, 0.0005, 0.0005),
+    "dispersion_percent": (1.0, 0.5, 0.5),
+    "surface_decentre_um": (25.0, 15.0, 2.0),
+    "surface_tilt_mrad": (5.0, 3.0, 1.0),
+    "element_decentre_um": (25.0, 12.5, 2.5),
+    "element_tilt_mrad": (5.0, 3.0, 1.0),
 }
+GRADES = {grade: {key: row[k] for key, row in _TOLERANCES.items()} for k, grade in enumerate(_GRADES)}
 
 
 class Grade(Frozen):
