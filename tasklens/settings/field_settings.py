@@ -89,11 +89,6 @@ class FieldSettings(Frozen):
         Args:
             design: fields of the losses of its design.
         """
-        if self.grading == "paper":
-            nine: dict[str, tuple[Points, ...] | None] = dict.fromkeys(
-                ("training", "selection", "grading", "nine"), (PAPER,)
-            )
-            return nine | {"corner": (CORNER,)}
         sets: dict[str, tuple[Points, ...] | None] = {
             "training": None,
             "selection": SELECTION,
@@ -101,6 +96,8 @@ class FieldSettings(Frozen):
             "nine": (PAPER,),
             "corner": (CORNER,),
         }
+        if self.grading == "paper":
+            return sets | {"training": (PAPER,), "selection": (PAPER,)}
         return sets if design is None or design == PAPER else sets | {"design": (design,)}
 
     def grading_sets(self, design: Points | None) -> dict[str, str]:
