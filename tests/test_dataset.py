@@ -258,7 +258,7 @@ def test_a_full_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
     monkeypatch.setattr(files.shutil, "disk_usage", lambda path: type("Usage", (), {"free": 1000}))
     monkeypatch.setattr(image_tensors, "read", lambda *rest: pytest.fail("an image was decoded"))
     with pytest.raises(FileError, match=r"train\.npy: needs 0\.0 MB"):
-        make_splits(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
+        make_splits(tmp_path / "out", ImageSettings(size=16, minival=2, folder=folder))
     assert not files_in(tmp_path / "out")
 
 
@@ -267,7 +267,7 @@ def test_a_truncated_image_is_named_and_nothing_is_written(tmp_path):
     cut = folder / "train" / "cat" / "cut.png"
     cut.write_bytes((PHOTOGRAPHS / "original.png").read_bytes()[:3000])
     with pytest.raises(FileError, match=str(cut)):
-        make_splits(tmp_path / "out", ImageSettings(size=16, minival=1, folder=folder))
+        make_splits(tmp_path / "out", ImageSettings(size=16, minival=2, folder=folder))
     assert not files_in(tmp_path / "out")
 
 

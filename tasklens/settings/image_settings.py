@@ -1,6 +1,7 @@
 """Settings of labelled images; no torch here."""
 
 from pathlib import Path
+from typing import Annotated
 
 from pydantic import Field, model_validator
 
@@ -17,7 +18,9 @@ class ImageSettings(Frozen):
 
     size: Whole = Field(64, ge=16, le=8192, description="Side of the square images [pixels].")
     train: Count | None = Field(None, description="Number of training images; for a folder the maximum, null: all.")
-    minival: Count = Field(500, description="Number of validation images, held out from training.")
+    minival: Annotated[Count, Field(ge=2)] = Field(  # errors are computed from them
+        500, description="Number of validation images, held out from training."
+    )
     test: Count | None = Field(None, description="Number of test images; for a folder the maximum, null: all.")
     seed: Seed = Field(0, description="Seed of the rendering, or of the choice and split of a folder's images.")
     folder: Path | None = Field(None, description="Folder of photographs; null: rendered textures.")

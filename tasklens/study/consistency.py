@@ -128,8 +128,6 @@ def _check_ablation(study: Study, name: str) -> None:
 
 
 def _check_networks(study: Study) -> None:
-    if study.images.minival < 2:
-        raise ValueError("images.minival: expected 2 or more, since errors are computed from them")
     batches = {"fine_tuning": study.fine_tuning.batch_size, "restoration": study.restoration.batch_size}
     batches |= {f"classifiers.{k}.training": v.training.batch_size for k, v in study.classifiers.items() if v.training}
     for where, images in batches.items():

@@ -84,7 +84,9 @@ class Study(Frozen):
         FieldSettings(), description="Fields that designs see and lenses are graded at; paper: its nine for both."
     )
     evaluation_rays: Rays = Field(4096, description="Rays per field and colour of cached PSFs and of figures.")
-    elements: dict[Name, tuple[str, ...]] = Field(description="Plastics from front to back, by name.")
+    elements: dict[Name, Annotated[tuple[str, ...], Field(min_length=1)]] = Field(
+        description="Plastics from front to back, by name."
+    )
     materials: dict[str, Material] = Field(
         default_factory=dict, validate_default=True, description="Files of further plastics (.yaml, .agf)."
     )
@@ -120,14 +122,6 @@ class Study(Frozen):
         if len(set(values)) < len(values):
             raise ValueError("expected no duplicates")
         return values
-
-    @field_validator("elements")
-    @classmethod
-    def _not_empty(cls, elements: dict) -> dict:
-        for name, plastics in elements.items():
-            if not plastics:
-                raise ValueError(f"elements.{name}: expected at least one plastic")
-        return elements
 
     @field_validator("materials", mode="before")
     @classmethod
