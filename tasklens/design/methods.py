@@ -85,7 +85,7 @@ def design(
     @cache
     def frozen_loss(temperature: float) -> TaskLoss:
         assert classifier is not None and dataset is not None  # a supervised design has both
-        if plan.task is not None and task is not None:
+        if plan.network is not None and task is not None:
             from tasklens.recognition import task_networks  # imports torchvision's detectors: only these designs do
 
             return TaskLoss(task_networks.frozen(classifier), task)

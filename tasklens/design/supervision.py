@@ -13,7 +13,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Task
 from tasklens.runtime.devices import claim
 from tasklens.runtime.errors import InputError
-from tasklens.settings.design_settings import DescentSettings
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
 from tasklens.settings.image_settings import RENDERED_CLASSES, ImageSettings
 from tasklens.settings.lens_entries import LensDesign
 
@@ -104,8 +104,9 @@ def supervision(
             "network: no parameter requires a gradient, so there is nothing to train; call its requires_grad_(True)"
         )
     if user.network is not None or user.task is not None:
-        parts = [part for entry in entries for part in entry.descents if part.criterion == "task"]
-        _check(network, images, user.task, parts, any(entry.augmented for entry in entries if entry.by_network))
+        designs = [entry.design for entry in entries if isinstance(entry.design, GradientDesignSettings)]
+        parts = [part for design in designs for part in design.by_network]
+        _check(network, images, user.task, parts, any(design.augment and design.by_network for design in designs))
     if user.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
         print(f"tasklens: {sharp.check_accuracy(classifiers.frozen(network, images.images), sample)}", file=sys.stderr)

@@ -249,12 +249,6 @@ class GradientDesignSettings(Frozen):
         """Names of the designs whose best lens is the start."""
         return self.start if isinstance(self.start, tuple) else ()
 
-    @property
-    def end_to_end(self) -> bool:
-        """True if lens and network are trained together from the first descent, from flat plates or an imaging lens."""
-        first = self.by_network[:1]
-        return bool(first) and first[0].trains_network and not self.starting_designs
-
 
 def _this_format(value: Any) -> Any:
     if not isinstance(value, dict | GradientDesignSettings | LeastSquaresSettings):

@@ -76,11 +76,6 @@ class LensEntry(Frozen):
     )
 
     @property
-    def augmented(self) -> bool:
-        """True if the images of the design are augmented."""
-        return isinstance(self.design, GradientDesignSettings) and self.design.augment
-
-    @property
     def descents(self) -> tuple[DescentSettings, ...]:
         """Descents of the design; empty for least squares and imported lenses."""
         return self.design.descents if isinstance(self.design, GradientDesignSettings) else ()
@@ -98,7 +93,8 @@ class LensEntry(Frozen):
     @property
     def end_to_end(self) -> bool:
         """True if lens and network are trained together from the first descent, from flat plates or an imaging lens."""
-        return isinstance(self.design, GradientDesignSettings) and self.design.end_to_end
+        first = next((descent for descent in self.descents if descent.criterion == "task"), None)
+        return first is not None and first.trains_network and not isinstance(self.start, tuple)
 
     @property
     def by_task(self) -> bool:
@@ -146,7 +142,7 @@ class LensDesign(Frozen):
         spec, constraints: specification and limits.
         capture: for designs by captures.
         classifier: for designs supervised by a classifier.
-        task, network: name and settings of another task, for designs supervised by its network.
+        network: network of another task, for designs supervised by it.
         starts: lenses of which the most accurate is the start.
         candidates: lenses of which the best by the criterion is the start.
         fields: fields of the losses, fractions of the sensor; None: drawn anew in each step.
@@ -160,7 +156,6 @@ class LensDesign(Frozen):
     constraints: Constraints
     capture: CaptureSettings | None
     classifier: ClassifierSettings | None
-    task: str | None
     network: TaskSettings | None
     starts: tuple[str, ...]
     candidates: tuple[str, ...]

@@ -80,7 +80,6 @@ class LensSettings(Frozen):
             constraints=self.constraints,
             capture=CaptureSettings() if entry.reads_images else None,
             classifier=self.network if entry.by_network else None,
-            task=None,
             network=None,
             starts=accurate,
             candidates=best,

@@ -140,7 +140,6 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.reads_images else None,
         classifier=study.classifier(study.supervisor) if by_supervisor else None,
-        task=entry.other_task,
         network=None if entry.other_task is None else study.task_network(entry.other_task),
         starts=starts(study, lens),
         candidates=candidates(study, lens),

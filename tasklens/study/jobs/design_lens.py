@@ -41,7 +41,7 @@ def run(
 
         device = claim()
         scenes = objects.read(*train, device=device)
-        name, size = str(settings.task), scenes.images.shape[-1]
+        name, size = str(settings.entry.other_task), scenes.images.shape[-1]
         images, task = scenes.as_images(), object_tasks.make(name, settings.network, scenes)
         classifier = task_networks.load(name, settings.network, scenes.classes, size, weights).to(device)
     elif train:
