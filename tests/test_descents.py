@@ -171,8 +171,8 @@ def test_a_design_begins_with_a_lens_from_a_file(tmp_path, start, few_rays, keep
     prescription.write(tmp_path / "phone.yaml", prescription.Prescription(given), {})
     study = changed(with_start(tmp_path / "phone.yaml", ["phone"]), "designs.mine.keep_apertures", keep)
     settings = lens_design(parse(study), "singlet-mine", 0)
-    assert settings.candidates == ("singlet-phone",)
-    lens, notes, *_ = methods.design(settings, None, problem().dataset, {}, {"singlet-phone": given})
+    assert settings.starts == ("singlet-phone",) and not settings.entry.by_accuracy
+    lens, notes, *_ = methods.design(settings, None, problem().dataset, {"singlet-phone": given}, {})
     origin = notes["origin"]
     assert origin["start"] == "singlet-phone" and [*origin["candidate_losses"]] == ["singlet-phone"]
     assert lens.media == given.media and lens.alpha.shape[1] == 5

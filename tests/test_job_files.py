@@ -118,12 +118,13 @@ def test_a_joint_design_starts_from_the_best_after_fine_tuning():
     expected = ("singlet-tasklens", "singlet-imaging2")
     inputs = job_of("design", study, lens="singlet-joint", seed=3).inputs
     assert [*map(Path, inputs["starts"])] == [lens_file("tiny", name, 3) for name in expected]
-    assert len(inputs["metrics"]) == 2 and not inputs["candidates"]
+    assert len(inputs["metrics"]) == 2
     frozen = changed(tiny_study(), "designs.frozen", JOINT | {"start": ["image_error", "imaging2"]})
     frozen = changed(frozen, "designs.frozen.descents", [{"steps": 2}])
     settings = table_contents.lens_design(parse(frozen), "singlet-frozen", 3)
-    assert settings.candidates == ("singlet-image_error", "singlet-imaging2") and not settings.starts
-    assert len(job_of("design", parse(frozen), lens="singlet-frozen", seed=3).inputs["candidates"]) == 2
+    assert settings.starts == ("singlet-image_error", "singlet-imaging2")
+    inputs = job_of("design", parse(frozen), lens="singlet-frozen", seed=3).inputs
+    assert len(inputs["starts"]) == 2 and not inputs["metrics"]
 
 
 def test_a_joint_design_is_task_driven_unless_it_comes_from_flat_plates():
@@ -183,7 +184,7 @@ def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_p
     arguments = {}
 
     def work(settings: LensDesign, train: Sequence[Path], weights: Path | None, files: Sequence[Path],
-             candidates: Sequence[Path], starts: Sequence[Path], metrics: Sequence[Path], lens: Path, history: Path,
+             starts: Sequence[Path], metrics: Sequence[Path], lens: Path, history: Path,
              checkpoint: Checkpoint):  # fmt: skip
         arguments.update(locals())
         write(checkpoint.path, "")

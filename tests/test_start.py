@@ -94,10 +94,10 @@ def test_a_design_begins_with_the_most_accurate_start(start, spot_lens, monkeypa
         calls.append((begin, candidates))
         raise Called
 
-    starts = {"doublet-imaging1": (start, 60.0), "doublet-imaging2": (spot_lens, 70.0)}
+    starts = {"doublet-imaging1": start, "doublet-imaging2": spot_lens}
     monkeypatch.setattr(descents, "design", design)
     with pytest.raises(Called):
-        methods.design(design_settings, tiny_network(), None, starts, {})
+        methods.design(design_settings, tiny_network(), None, starts, dict(zip(starts, (60.0, 70.0), strict=True)))
     ((begin, candidates),) = calls
     assert torch.equal(begin.curvature, spot_lens.curvature)
     assert list(candidates) == ([] if rate else ["doublet-imaging2"])
@@ -119,12 +119,12 @@ def test_a_joint_descent_begins_with_no_lost_field(tmp_path, monkeypatch, names,
     joint = {"start": names, "descents": [{"steps": 1, "network_learning_rate": 1e-3}]}
     design_settings = lens_design(parse(changed(tiny_study(), "designs.joint", joint)), "singlet-joint", 0)
 
-    def design(settings, network, train, starts, *rest):
-        raise Called(max(starts, key=lambda name: starts[name][1]))
+    def design(settings, network, train, starts, accuracies, *rest):
+        raise Called(max(starts, key=lambda name: accuracies[name]))
 
     monkeypatch.setattr(methods, "design", design)
-    settings = design_settings.model_copy(update={"starts": tuple(accuracies), "candidates": ()})
+    settings = design_settings.model_copy(update={"starts": tuple(accuracies)})
     starts, metrics = 2 * [tmp_path / "lens.yaml"], [tmp_path / name for name in accuracies]
     outputs = (tmp_path / name for name in ("out.yaml", "history.csv"))
     with pytest.raises(Called, match=f"^{start}$"):
-        design_job.run(settings, [], None, [], [], starts, metrics, *outputs, NO_CHECKPOINT)
+        design_job.run(settings, [], None, [], starts, metrics, *outputs, NO_CHECKPOINT)

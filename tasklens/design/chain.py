@@ -74,7 +74,7 @@ def design(
             `supervision` raises it.
     """
     for plan in plans.values():
-        if len(plan.starts) > 1:
+        if plan.entry.by_accuracy and len(plan.starts) > 1:
             raise InputError(
                 f"{plan.entry.design_name} starts from one lens, got {', '.join(plan.starts)}; choose one with `start` "
                 f"(on the command line --set start=[{plans[plan.starts[0]].entry.design_name}])"
@@ -88,8 +88,8 @@ def design(
                 plan,
                 shared.network if plan.entry.by_network else None,
                 shared.images if plan.entry.reads_images else None,
-                {other: (lenses[other], 0.0) for other in plan.starts},
-                {other: lenses[other] for other in plan.candidates},
+                {other: lenses[other] for other in plan.starts},
+                dict.fromkeys(plan.starts, 0.0) if plan.entry.by_accuracy else {},
                 task=shared.task if plan.entry.by_network else None,
             )
     view = view_of_spec(plan.spec)

@@ -43,7 +43,6 @@ _PLANES, _STEP = 3, 2.0  # planes on each side of the peak, and the blur that de
 _LAST_STEP = 0.25
 _ROUNDS = 4  # searches after the first, while the best plane is the outermost
 
-Starts = Mapping[str, tuple[Lens, float]]  # lenses and their minival accuracies [%], mean or worst field, by name
 Notes = dict[str, Any]  # spec, origin, figures and margins in a lens file
 
 
@@ -51,8 +50,8 @@ def design(
     plan: LensDesign,
     classifier: nn.Module | None,
     dataset: ImageDataset | None,
-    starts: Starts,
-    candidates: Mapping[str, Lens],
+    starts: Mapping[str, Lens],
+    accuracies: Mapping[str, float],
     checkpoint: Checkpoint = NO_CHECKPOINT,
     task: Task | None = None,
 ) -> tuple[Lens, Notes, History, nn.Module | None]:
@@ -61,8 +60,9 @@ def design(
     Args:
         plan: specification and method of the lens.
         classifier, dataset: trained classifier and training images, for supervised designs.
-        starts: possible starting lenses; the one of the highest accuracy is taken.
-        candidates: possible starting lenses; the best one by the criterion of the design is taken.
+        starts: lenses of which the best is the start, by name.
+        accuracies: their minival accuracies [%], of the mean or the worst field; empty if the criterion of the design
+            compares them.
         checkpoint: checkpoint of the job.
         task: task of the network `classifier`, if it is not classification.
 
@@ -109,11 +109,12 @@ def design(
         return ImageError(logarithm=part.criterion == "log_image_error")
 
     start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
-    if starts:
-        best = origin["start"] = max(starts, key=lambda name: starts[name][1])
-        start = _prepared_start(starts[best][0], settings.keep_apertures)
+    candidates = {} if accuracies else starts
+    if accuracies:
+        best = origin["start"] = max(accuracies, key=lambda name: accuracies[name])
+        start = _prepared_start(starts[best], settings.keep_apertures)
         if not settings.descents[-1].trains_network:  # then the start is the result if the descents do not improve it
-            candidates = {best: starts[best][0]}
+            candidates = {best: starts[best]}
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
     with nullcontext() if plan.entry.reads_images else single_thread():  # without images all tensors are small
         lens, details, history, objective = descents.design(start, prepared, criterion, problem, settings, checkpoint)

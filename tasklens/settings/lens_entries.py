@@ -107,6 +107,11 @@ class LensEntry(Frozen):
         return self.design.task if isinstance(self.design, GradientDesignSettings) else None
 
     @property
+    def by_accuracy(self) -> bool:
+        """True if the most accurate of the possible starts is the start; otherwise it is the best by the criterion."""
+        return bool(self.descents) and (self.descents[-1].trains_network or not isinstance(self.start, tuple))
+
+    @property
     def by_psfs(self) -> bool:
         """True if a descent minimises a loss of captures or PSFs."""
         return any(descent.criterion != "spot" for descent in self.descents)
@@ -143,8 +148,7 @@ class LensDesign(Frozen):
         capture: for designs by captures.
         classifier: for designs supervised by a classifier.
         network: network of another task, for designs supervised by it.
-        starts: lenses of which the most accurate is the start.
-        candidates: lenses of which the best by the criterion is the start.
+        starts: lenses of which the best is the start, by `entry.by_accuracy`.
         fields: fields of the losses, fractions of the sensor; None: drawn anew in each step.
         averaged: fields over which figures are averaged, fractions of the sensor.
         rays: rays per field and colour for the figures.
@@ -158,7 +162,6 @@ class LensDesign(Frozen):
     classifier: ClassifierSettings | None
     network: TaskSettings | None
     starts: tuple[str, ...]
-    candidates: tuple[str, ...]
     fields: Points | None
     averaged: Points
     rays: int

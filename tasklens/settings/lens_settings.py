@@ -72,8 +72,6 @@ class LensSettings(Frozen):
         entry = LensEntry(
             name=f"{_ELEMENTS}-{name}", elements=_ELEMENTS, plastics=self.plastics, design_name=name, design=design
         )
-        named = starts.compared_by_accuracy(design, self.designs), starts.compared_by_criterion(design)
-        accurate, best = (tuple(f"{_ELEMENTS}-{other}" for other in others) for others in named)
         return LensDesign(
             entry=entry,
             spec=self.spec,
@@ -81,8 +79,7 @@ class LensSettings(Frozen):
             capture=CaptureSettings() if entry.reads_images else None,
             classifier=self.network if entry.by_network else None,
             network=None,
-            starts=accurate,
-            candidates=best,
+            starts=tuple(f"{_ELEMENTS}-{other}" for other in starts.starting_designs(design, self.designs)),
             fields=None,
             averaged=GRADING_CENTRES,
             rays=_RAYS,

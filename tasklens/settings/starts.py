@@ -32,19 +32,11 @@ def best_of(designs: DesignsByName) -> dict[str, tuple[str, ...]]:
     return {"best_imaging": tuple(imaging), "best_spot": tuple(spots)}
 
 
-def compared_by_accuracy(design: object, designs: DesignsByName) -> tuple[str, ...]:
-    """Return the designs of which the most accurate is the start of a design; empty for other designs."""
+def starting_designs(design: object, designs: DesignsByName) -> tuple[str, ...]:
+    """Return the designs that a design may start from, also those that `best_imaging` or `best_spot` may choose."""
     if not isinstance(design, GradientDesignSettings):
         return ()
-    named = design.starting_designs if design.descents[-1].trains_network else ()
-    return best_of(designs).get(str(design.start), named)
-
-
-def compared_by_criterion(design: object) -> tuple[str, ...]:
-    """Return the designs of which the best by the criterion of a design is its start; empty for other designs."""
-    if not isinstance(design, GradientDesignSettings) or design.descents[-1].trains_network:
-        return ()
-    return design.starting_designs
+    return best_of(designs).get(str(design.start), design.starting_designs)
 
 
 def check(

@@ -198,7 +198,7 @@ def _against_imaging(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
                 OVER_LEAST_SQUARES: [other for other in same if isinstance(other.design, LeastSquaresSettings)],
                 OVER_IMAGE_QUALITY: [other for other in same if other.by_psfs],
                 FEWER_ELEMENTS: [other for other in imaging if len(other.plastics) == more],
-                OVER_START: [study.lens(name) for name in starts(study, lens.name)],
+                OVER_START: [study.lens(name) for name in starts(study, lens.name) if lens.by_accuracy],
             }
             rows += [(text, lens.name, tuple(o.name for o in others)) for text, others in baselines.items() if others]
     return rows

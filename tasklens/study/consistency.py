@@ -207,16 +207,9 @@ def _check_imported_start(study: Study, where: str, lens: LensEntry, name: str) 
         )
 
 
-def _starts(study: Study, design: DesignSettings) -> tuple[str, ...]:
-    """Return the designs that a design may start from, also those that `best_imaging` or `best_spot` may choose."""
-    if not isinstance(design, GradientDesignSettings):
-        return ()
-    return starts.best_of(study.designs).get(str(design.start), design.starting_designs)
-
-
 def _check_acyclic(study: Study, where: str, name: str, design: DesignSettings) -> None:
     """Check that no design starts from itself, directly or by way of other designs; raises ValueError."""
-    first = _starts(study, design)
+    first = starts.starting_designs(design, study.designs)
     queue, seen = list(first), set()
     while queue:
         other = queue.pop()
@@ -224,4 +217,4 @@ def _check_acyclic(study: Study, where: str, name: str, design: DesignSettings) 
             raise ValueError(f"{where}.start: {name} would start from itself, through {', '.join(first)}")
         if other not in seen:
             seen.add(other)
-            queue += _starts(study, study.designs[other]) if other in study.designs else ()
+            queue += starts.starting_designs(study.designs.get(other), study.designs)

@@ -4,7 +4,7 @@ from tasklens.settings.design_settings import DesignSettings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study.study import Study
-from tasklens.study.table_contents import SeededLenses, candidates, starts, table_lenses
+from tasklens.study.table_contents import SeededLenses, starts, table_lenses
 
 
 class Efforts(SeededLenses):
@@ -37,7 +37,7 @@ def effort(study: Study) -> Efforts:
 
 
 def _chosen_from(study: Study, lens: str) -> tuple[str, ...]:
-    nearest = (*candidates(study, lens), *starts(study, lens))
+    nearest = starts(study, lens)
     return tuple(dict.fromkeys([*nearest, *(other for near in nearest for other in _chosen_from(study, near))]))
 
 

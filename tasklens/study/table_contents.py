@@ -8,7 +8,7 @@ from tasklens.settings import names
 from tasklens.settings.base import Frozen
 from tasklens.settings.lens_entries import LensDesign
 from tasklens.settings.names import SHARP
-from tasklens.settings.starts import compared_by_accuracy, compared_by_criterion
+from tasklens.settings.starts import starting_designs
 from tasklens.study.study import Study
 
 _SEEDS = 1000  # distance between the seeds of designs for two sets of images: each set has draws of its own
@@ -142,7 +142,6 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
         classifier=study.classifier(study.supervisor) if by_supervisor else None,
         network=None if entry.other_task is None else study.task_network(entry.other_task),
         starts=starts(study, lens),
-        candidates=candidates(study, lens),
         fields=study.design_points(lens),
         averaged=PAPER if study.fields.grading == "paper" else GRADING_CENTRES,
         rays=study.evaluation_rays,
@@ -151,19 +150,12 @@ def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
 
 
 def starts(study: Study, lens: str) -> tuple[str, ...]:
-    """Return the lenses of which the best by minival accuracy is the start of a design; empty for other designs.
+    """Return the lenses that a design may start from.
 
-    It is the accuracy of the worst field for listed designs, else the mean over fields.
-    Imported lenses are left out, so that importing a baseline changes no other row.
+    Imported lenses are only among them by name, so that importing a baseline changes no other row.
     """
     entry = study.lens(lens)
-    return tuple(f"{entry.elements}-{name}" for name in compared_by_accuracy(entry.design, study.designs))
-
-
-def candidates(study: Study, lens: str) -> tuple[str, ...]:
-    """Return the lenses of which the best by the criterion of a design is its start; empty for other designs."""
-    entry = study.lens(lens)
-    return tuple(f"{entry.elements}-{name}" for name in compared_by_criterion(entry.design))
+    return tuple(f"{entry.elements}-{name}" for name in starting_designs(entry.design, study.designs))
 
 
 def chosen_lenses(study: Study, designs: tuple[str, ...] | None) -> tuple[str, ...]:

@@ -7,8 +7,7 @@ rule design:
         train=design_images,
         weights=design_weights,
         files=imported_files,
-        candidates=prescriptions(table_contents.candidates),
-        starts=prescriptions(table_contents.starts),
+        starts=starting_lenses,
         metrics=start_metrics,
     output:
         lens="results/{study}/lenses/{lens}/seed{seed}/lens.yaml",

@@ -24,21 +24,17 @@ def imported_files(wildcards):
     return list(design.sources) if isinstance(design, ImportedLens) else []
 
 
-def prescriptions(lenses):
-    """Return a function from wildcards to the prescriptions of the lenses that a design may start from."""
-
-    def files(wildcards):
-        study = study_of(wildcards)
-        keys = [LensKey(lens, wildcards.seed) for lens in lenses(study, wildcards.lens)]
-        return paths_of(rules.design.output.lens, study, keys)
-
-    return files
+def starting_lenses(wildcards):
+    """Return the prescriptions of the lenses that a design may start from."""
+    study = study_of(wildcards)
+    keys = [LensKey(lens, wildcards.seed) for lens in table_contents.starts(study, wildcards.lens)]
+    return paths_of(rules.design.output.lens, study, keys)
 
 
 def start_metrics(wildcards):
-    """Return the measurements of the lenses, the most accurate of which is the start of a design."""
+    """Return the measurements of the lenses that a design may start from, if the most accurate one is its start."""
     study = study_of(wildcards)
-    lenses = table_contents.starts(study, wildcards.lens)
+    lenses = table_contents.starts(study, wildcards.lens) if study.lens(wildcards.lens).by_accuracy else ()
     keys = [MeasuredKey(lens, study.supervisor, wildcards.seed) for lens in lenses]
     return paths_of(rules.fine_tune.output.metrics, study, keys)
 

@@ -6,7 +6,6 @@ from pathlib import Path
 
 from tasklens.design import methods
 from tasklens.optics.io import prescription
-from tasklens.optics.lens import Lens
 from tasklens.recognition import classifiers, dataset
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.runtime.devices import claim
@@ -19,7 +18,6 @@ def run(
     train: Sequence[Path],
     weights: Path | None,
     files: Sequence[Path],
-    candidates: Sequence[Path],
     starts: Sequence[Path],
     metrics: Sequence[Path],
     lens: Path,
@@ -32,8 +30,8 @@ def run(
         train: training images and their labels or objects; empty for a design without images.
         weights: weights of the network, if a network supervises the design.
         files: files of an imported lens; `settings` has their paths, and the rule waits for them.
-        candidates: candidate starts; the best by the criterion is the start.
-        starts, metrics: candidate starts and their measurements; the most accurate lens is the start.
+        starts: lenses that the design may start from.
+        metrics: their measurements, if the most accurate lens is the start.
     """
     classifier = images = task = None
     if settings.network is not None:
@@ -49,22 +47,16 @@ def run(
         images = dataset.read(*train, device=device)
         if settings.classifier is not None:
             classifier = classifiers.build(settings.classifier, images.classes, weights).to(device)
-    accuracies = []
-    if starts:
+    accuracies = {}
+    if metrics:
         from tasklens.recognition.metrics import mean_metrics, worst_field_metrics
 
         # A joint descent does not recover a field that is lost at the start: docs/results/regimes.
         measure = worst_field_metrics if isinstance(settings.entry.start, tuple) else mean_metrics
-        accuracies = [measure(path)["minival_accuracy"] for path in metrics]
-    start_lenses = dict(zip(settings.starts, zip(_lenses(starts), accuracies, strict=True), strict=True))
-    candidate_lenses = dict(zip(settings.candidates, _lenses(candidates), strict=True))
-    design, notes, rows, _ = methods.design(
-        settings, classifier, images, start_lenses, candidate_lenses, checkpoint, task
-    )
+        measured = (measure(path)["minival_accuracy"] for path in metrics)
+        accuracies = dict(zip(settings.starts, measured, strict=True))
+    lenses = {name: prescription.read(path)[0].lens for name, path in zip(settings.starts, starts, strict=True)}
+    design, notes, rows, _ = methods.design(settings, classifier, images, lenses, accuracies, checkpoint, task)
     write_rows(history, rows)
     distance = settings.spec.object_distance_mm or math.inf
     prescription.write(lens, prescription.Prescription(design, object_distance_mm=distance), notes)
-
-
-def _lenses(paths: Sequence[Path]) -> list[Lens]:
-    return [prescription.read(path)[0].lens for path in paths]

@@ -13,7 +13,7 @@ from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study import consistency
 from tasklens.study.study import Study
-from tasklens.study.table_contents import candidates, starts
+from tasklens.study.table_contents import starts
 
 
 def check(study: Study, networks: bool, weights: bool) -> None:
@@ -58,7 +58,7 @@ def _check_free(study: Study, imported_lenses: Mapping[str, Lens]) -> None:
     for lens in study.lenses.values():
         if not isinstance(lens.design, GradientDesignSettings) or lens.design.free is None:
             continue
-        for name in {*starts(study, lens.name), *candidates(study, lens.name)} & imported_lenses.keys():
+        for name in imported_lenses.keys() & starts(study, lens.name):
             try:
                 Variables.plain(imported_lenses[name]).free(lens.design.free)
             except InputError as error:
