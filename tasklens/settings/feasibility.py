@@ -1,18 +1,19 @@
 """Feasibility of lenses and training steps, checked before the first job; no torch here."""
 
+from collections.abc import Mapping
+
 from tasklens.materials.material import Material
 from tasklens.runtime.errors import InputError
 from tasklens.settings.design_settings import GradientDesignSettings
 from tasklens.settings.specification import Constraints, Spec
 
 
-def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints, size: int) -> None:
-    """Check the indices of the plastics, the size of the PSF window, the limits, and the space for flat plates.
+def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, limits: Constraints) -> None:
+    """Check the indices of the plastics, the limits, and the space for flat plates.
 
     Args:
         name: name of the elements.
         where: key of their specification in the study file.
-        size: side of the images [pixels].
 
     Raises:
         ValueError: one of them is not feasible.
@@ -34,11 +35,6 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
                     f"materials: {material.name} of {name} has the index {index:.6g} at {wavelength} um; expected more "
                     "than 1 and less than 3: correct its coefficients"
                 )
-    if spec.kernel_size // 2 >= size:
-        raise ValueError(
-            f"{where}.kernel_size: half of {spec.kernel_size} must be less than images.size = {size}, since borders "
-            "are reflected"
-        )
     if limits.min_centre_thickness >= limits.max_centre_thickness:
         raise ValueError(
             f"constraints.min_centre_thickness: {limits.min_centre_thickness} mm must be less than "
@@ -59,6 +55,19 @@ def check(name: str, where: str, plastics: tuple[Material, ...], spec: Spec, lim
             f"{limits.max_track} mm and flat_track = {limits.flat_track} focal lengths allow {available:.2f} mm; a "
             "flat start would have a negative thickness"
         )
+
+
+def check_window(what: str, kernel_size: int, sizes: Mapping[str, int]) -> None:
+    """Check that images are larger than half of the PSF window; raises ValueError.
+
+    Args:
+        what: first words of the message, before the width of the window.
+        kernel_size: width of the PSF window [pixels].
+        sizes: sides of images by their keys [pixels].
+    """
+    for key, size in sizes.items():
+        if kernel_size // 2 >= size:
+            raise ValueError(f"{what} {kernel_size} must be less than {key} = {size}, since borders are reflected")
 
 
 def check_descents(where: str, design: GradientDesignSettings, kernel_size: int, size: int) -> None:

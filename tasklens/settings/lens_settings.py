@@ -49,7 +49,8 @@ class LensSettings(Frozen):
     def _feasible(self) -> "LensSettings":
         if self.spec.object_distance_mm is not None:
             raise ValueError("spec.object_distance_mm: designs need an object at infinity")
-        feasibility.check(_ELEMENTS, "spec", self.plastics, self.spec, self.constraints, self.images.size)
+        feasibility.check(_ELEMENTS, "spec", self.plastics, self.spec, self.constraints)
+        feasibility.check_window("spec.kernel_size: half of", self.spec.kernel_size, {"images.size": self.images.size})
         if self.network is not None and self.network.outputs != "classes" and self.images.folder is None:
             raise ValueError(
                 f"network.outputs: {self.network.outputs!r} needs a folder of photographs, whose classes are named by "

@@ -146,6 +146,9 @@ def _check_networks(study: Study) -> None:
 
 
 def _check_lenses(study: Study) -> None:
+    sizes = {"images.size": study.images.size}
+    if study.tasks.networks:
+        sizes["tasks.scenes.size"] = study.tasks.scenes.size
     for name, plastics in study.elements.items():
         materials = tuple(study.materials[plastic] for plastic in plastics)
         where = f"specs.{name}" if name in study.specs else "spec"
@@ -154,14 +157,15 @@ def _check_lenses(study: Study) -> None:
             raise ValueError(
                 f"{where}.object_distance_mm: designs need an object at infinity; use only imported lenses"
             )
-        feasibility.check(name, where, materials, spec, study.constraints, study.images.size)
-        if study.tasks.networks and spec.kernel_size // 2 >= study.tasks.scenes.size:
-            raise ValueError(
-                f"{where}.kernel_size: half of {spec.kernel_size} must be less than tasks.scenes.size = "
-                f"{study.tasks.scenes.size}, since borders are reflected"
-            )
+        feasibility.check(name, where, materials, spec, study.constraints)
+        feasibility.check_window(f"{where}.kernel_size: half of", spec.kernel_size, sizes)
     for where, lens in lenses_with_keys(study):
-        _check_design(study, where, lens)
+        kernel_size = study.lens_spec(lens.name).kernel_size
+        if isinstance(lens.design, ImportedLens):
+            feasibility.check_window(f"imported.{lens.design_name}: half of its kernel_size =", kernel_size, sizes)
+        elif isinstance(lens.design, GradientDesignSettings):
+            feasibility.check_descents(where, lens.design, kernel_size, study.images.size)
+            _check_start(study, where, lens, lens.design)
 
 
 def lenses_with_keys(study: Study) -> list[tuple[str, LensEntry]]:
@@ -172,22 +176,7 @@ def lenses_with_keys(study: Study) -> list[tuple[str, LensEntry]]:
     return entries
 
 
-def _check_design(study: Study, where: str, lens: LensEntry) -> None:
-    design = lens.design
-    kernel_size = study.lens_spec(lens.name).kernel_size
-    if isinstance(design, GradientDesignSettings):
-        feasibility.check_descents(where, design, kernel_size, study.images.size)
-    sizes = {"images.size": study.images.size}
-    if study.tasks.networks:
-        sizes["tasks.scenes.size"] = study.tasks.scenes.size
-    for key, size in sizes.items():
-        if isinstance(design, ImportedLens) and kernel_size // 2 >= size:
-            raise ValueError(
-                f"imported.{lens.design_name}: half of its kernel_size = {kernel_size} must be less than {key} = "
-                f"{size}, since borders are reflected"
-            )
-    if not isinstance(design, GradientDesignSettings):
-        return
+def _check_start(study: Study, where: str, lens: LensEntry, design: GradientDesignSettings) -> None:
     imported = [name for name, other in study.imported.items() if other.elements == lens.elements]
     starts.check(where, lens.design_name, design, study.designs, imported)
     for name in design.starting_designs:
