@@ -2,8 +2,6 @@
 
 import itertools
 import os
-import socket
-import subprocess
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +17,7 @@ from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
 from tasklens.runtime import job as runtime_job
 from tasklens.runtime.checkpoints import Checkpoint
-from tasklens.runtime.files import read_tensors, remove_abandoned
+from tasklens.runtime.files import read_tensors
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.study.loading import parse
 
@@ -174,16 +172,6 @@ def test_a_changed_job_begins_anew(workplace, monkeypatch):
     assert [record.get("step") for _, record in saves] == [1, 2, 3, 4, None]  # the last record is the result
     assert not old.exists() and saves[0][0] != old
     run("spot")
-
-
-def test_a_process_that_is_killed_while_it_writes_leaves_no_partial_file(tmp_path):
-    """Its partial file is removed with the checkpoint, even if the checkpoint is never written again."""
-    process = subprocess.Popen(["true"])
-    process.wait()
-    half = tmp_path / f".job.pt.{socket.gethostname()}-{process.pid}.part"
-    half.write_bytes(b"half")
-    remove_abandoned(tmp_path / "job.pt")
-    assert not half.exists()
 
 
 def test_a_job_killed_in_its_evaluation_keeps_what_it_learned(monkeypatch, tmp_path):

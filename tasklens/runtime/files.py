@@ -284,10 +284,3 @@ def write_rows(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
         writer = csv.DictWriter(file, columns, lineterminator="\n")
         writer.writeheader()
         writer.writerows(rows)
-
-
-def write_if_changed(path: str | Path, text: str) -> None:
-    """Write a text file unless it already has this text."""
-    path = Path(path)
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        write_text(path, text)

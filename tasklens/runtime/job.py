@@ -7,7 +7,7 @@ import json
 import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import fields, is_dataclass
 from importlib import import_module
 from inspect import signature
@@ -57,22 +57,33 @@ def run(
 def _call(
     function: str, settings: str, inputs: Mapping[str, Paths], outputs: Mapping[str, str], checkpoint: Path
 ) -> None:
-    with _import(function) as call:
-        kinds = get_type_hints(call)
-        parameters, others = list(signature(call).parameters), dict(inputs)
-        values = json.loads(settings)
-        if "settings" in parameters:
-            values = {"settings": values}
-        arguments = {  # without computed fields
-            name: TypeAdapter(kinds[name]).validate_python(value, extra="ignore") for name, value in values.items()
-        }
-        arguments |= _files(parameters, kinds, others)
-        if others:
-            raise TypeError(f"{function} has no parameter {', '.join(others)}")
-        arguments |= {name: Path(path) for name, path in outputs.items()}
-        if "checkpoint" in parameters:
-            arguments["checkpoint"] = kinds["checkpoint"](checkpoint)
+    module, _, name = function.rpartition(".")
+    # The garbage collector is off during the import, and skips the imported objects while the function runs: to search
+    # hundreds of thousands of objects, none of them garbage, takes a fifth of the time of an import.
+    gc.disable()
+    try:
+        call = getattr(import_module(module), name)
+    finally:
+        gc.enable()
+    gc.freeze()
+    kinds = get_type_hints(call)
+    parameters, others = list(signature(call).parameters), dict(inputs)
+    values = json.loads(settings)
+    if "settings" in parameters:
+        values = {"settings": values}
+    arguments = {  # without computed fields
+        name: TypeAdapter(kinds[name]).validate_python(value, extra="ignore") for name, value in values.items()
+    }
+    arguments |= _files(parameters, kinds, others)
+    if others:
+        raise TypeError(f"{function} has no parameter {', '.join(others)}")
+    arguments |= {name: Path(path) for name, path in outputs.items()}
+    if "checkpoint" in parameters:
+        arguments["checkpoint"] = kinds["checkpoint"](checkpoint)
+    try:
         call(**arguments)
+    finally:
+        gc.unfreeze()
 
 
 def _files(names: Iterable[str], kinds: Mapping[str, Any], inputs: dict[str, Paths]) -> dict[str, Any]:
@@ -165,26 +176,6 @@ def _states(inputs: Mapping[str, Paths]) -> Iterator[str]:
 
 def _digest(*parts: str) -> str:
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]
-
-
-@contextmanager
-def _import(function: str) -> Iterator[Callable[..., Any]]:
-    """Import the function `package.module.function`, and yield it.
-
-    The garbage collector is off during the import, and skips the imported objects while the function runs: to search
-    hundreds of thousands of objects, none of them garbage, takes a fifth of the time of an import.
-    """
-    module, _, name = function.rpartition(".")
-    gc.disable()
-    try:
-        call = getattr(import_module(module), name)
-    finally:
-        gc.enable()
-    gc.freeze()
-    try:
-        yield call
-    finally:
-        gc.unfreeze()
 
 
 def keep_memory() -> None:

@@ -111,7 +111,7 @@ onstart:
         if name != whole_study_name(name):
             continue  # pages of parts take only seconds
         print(durations_in(name).forecast([job.rule for job in jobs.values()], cores))
-        files.write_if_changed(Path("results", name, "study.yaml"), loading.dump(study_named(name)))  # for readers
+        files.write_text(Path("results", name, "study.yaml"), loading.dump(study_named(name)))  # for readers
     terminal.begin(planned, cores)
 
 
