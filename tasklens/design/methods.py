@@ -31,7 +31,7 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.tasks import Classification, Task
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
 from tasklens.runtime.devices import single_thread
-from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
+from tasklens.settings.design_settings import DescentSettings
 from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.lens_entries import ImportedLens, LensDesign
 
@@ -71,8 +71,7 @@ def design(
         trained with the lens.
     """
     settings, view = plan.entry.design, view_of_spec(plan.spec)
-    free = settings.free if isinstance(settings, GradientDesignSettings) else None
-    problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, free, plan.fields)
+    problem = Problem(view, plan.constraints, plan.seed, plan.capture, dataset, settings.free, plan.fields)
     if isinstance(settings, ImportedLens):
         return *_read_imported(settings, problem, plan, classifier), [], None
     origin = {"design": plan.entry.design_name, "method": settings.method, "seed": plan.seed}
@@ -119,7 +118,7 @@ def design(
     with nullcontext() if plan.entry.reads_images else single_thread():  # without images all tensors are small
         lens, details, history, objective = descents.design(start, prepared, criterion, problem, settings, checkpoint)
         origin |= details
-        repaired = repair(lens, view, plan.constraints, free)
+        repaired = repair(lens, view, plan.constraints, settings.free)
         keep_apertures = settings.keep_apertures and origin["start"] != "flat"  # plates have none
         final_lens, notes = with_notes(*repaired, plan, origin, keep_apertures)
         network = None

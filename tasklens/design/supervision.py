@@ -98,7 +98,7 @@ def supervision(
     elif user.network is not None:
         network = classifiers.copy_network(network)
     network = network.to(device)
-    trained = any(part.trains_network for entry in entries for part in entry.descents)
+    trained = any(part.trains_network for entry in entries for part in entry.design.descents)
     if trained and not any(parameter.requires_grad for parameter in network.parameters()):
         raise InputError(
             "network: no parameter requires a gradient, so there is nothing to train; call its requires_grad_(True)"

@@ -4,7 +4,7 @@ Bounds are far from all practical values. They reject, before the first job, val
 the memory, or never end.
 """
 
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar, Never
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -13,6 +13,17 @@ class Frozen(BaseModel):
     """Base class of all settings: immutable, unknown keys are errors."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class WithoutDescents(Frozen):
+    """Base class of designs without descents: what readers of all designs ask for is empty."""
+
+    descents: ClassVar[tuple[Never, ...]] = ()
+    by_network: ClassVar[tuple[Never, ...]] = ()
+    starting_designs: ClassVar[tuple[Never, ...]] = ()
+    start: ClassVar[None] = None
+    task: ClassVar[None] = None
+    free: ClassVar[None] = None
 
 
 def _no_truth(value: Any) -> Any:

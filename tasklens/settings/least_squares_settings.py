@@ -4,10 +4,10 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from tasklens.settings.base import Angle, Count, Frozen, Name, Positive, Steps
+from tasklens.settings.base import Angle, Count, Name, Positive, Steps, WithoutDescents
 
 
-class LeastSquaresSettings(Frozen):
+class LeastSquaresSettings(WithoutDescents):
     """Settings of damped least squares on ray residuals, from many random paraxial starts."""
 
     method: Literal["least_squares"]

@@ -7,9 +7,9 @@ from pydantic import BeforeValidator, Field, FilePath, field_validator
 
 from tasklens.materials.catalogues import MAKERS, PLASTICS, catalogues_in_folder
 from tasklens.materials.material import Material
-from tasklens.settings.base import Frozen, Name
+from tasklens.settings.base import Frozen, Name, WithoutDescents
 from tasklens.settings.capture_settings import CaptureSettings
-from tasklens.settings.design_settings import DescentSettings, DesignSettings, GradientDesignSettings
+from tasklens.settings.design_settings import DesignSettings
 from tasklens.settings.field_settings import FieldSet, Points
 from tasklens.settings.names import Focus
 from tasklens.settings.network_settings import ClassifierSettings
@@ -28,7 +28,7 @@ def _here_or_shipped(path: Any) -> Any:
 LensFile = Annotated[FilePath, BeforeValidator(_here_or_shipped)]
 
 
-class ImportedLens(Frozen):
+class ImportedLens(WithoutDescents):
     """A lens from a file, scaled to the specification; its materials are those of the file."""
 
     elements: Name = Field(description="Name of its elements in the tables.")
@@ -76,50 +76,36 @@ class LensEntry(Frozen):
     )
 
     @property
-    def descents(self) -> tuple[DescentSettings, ...]:
-        """Descents of the design; empty for least squares and imported lenses."""
-        return self.design.descents if isinstance(self.design, GradientDesignSettings) else ()
-
-    @property
-    def start(self) -> str | tuple[str, ...] | None:
-        """Start of the descents; None without descents."""
-        return self.design.start if isinstance(self.design, GradientDesignSettings) else None
-
-    @property
     def by_network(self) -> bool:
         """True if the loss of a network guides the design: of a classifier, or for another task."""
-        return any(descent.criterion == "task" for descent in self.descents)
+        return bool(self.design.by_network)
 
     @property
     def end_to_end(self) -> bool:
         """True if lens and network are trained together from the first descent, from flat plates or an imaging lens."""
-        first = next((descent for descent in self.descents if descent.criterion == "task"), None)
-        return first is not None and first.trains_network and not isinstance(self.start, tuple)
+        first = self.design.by_network[:1]
+        return bool(first) and first[0].trains_network and not self.design.starting_designs
 
     @property
     def by_task(self) -> bool:
         """True if the supervisor of the study guides the design, frozen or trained jointly, but not end-to-end."""
-        return self.by_network and not self.end_to_end and not self.other_task
-
-    @property
-    def other_task(self) -> str | None:
-        """Name of the task other than classification that the lens is designed for."""
-        return self.design.task if isinstance(self.design, GradientDesignSettings) else None
+        return self.by_network and not self.end_to_end and not self.design.task
 
     @property
     def by_accuracy(self) -> bool:
         """True if the most accurate of the possible starts is the start; otherwise it is the best by the criterion."""
-        return bool(self.descents) and (self.descents[-1].trains_network or not isinstance(self.start, tuple))
+        descents = self.design.descents
+        return bool(descents) and (descents[-1].trains_network or not self.design.starting_designs)
 
     @property
     def by_psfs(self) -> bool:
         """True if a descent minimises a loss of captures or PSFs."""
-        return any(descent.criterion != "spot" for descent in self.descents)
+        return any(descent.criterion != "spot" for descent in self.design.descents)
 
     @property
     def reads_images(self) -> bool:
         """True if a descent minimises a loss of captures, or the focus of an imported lens may do so."""
-        return self.may_focus or any(descent.reads_images for descent in self.descents)
+        return self.may_focus or any(descent.reads_images for descent in self.design.descents)
 
     @property
     def may_focus(self) -> bool:
@@ -135,8 +121,8 @@ class LensEntry(Frozen):
         """
         if isinstance(self.design, ImportedLens):
             return False
-        may_fail = self.end_to_end or (self.by_network and self.descents[0].optimizer == "adamw")
-        return not (may_fail and self.start == "flat")
+        may_fail = self.end_to_end or (self.by_network and self.design.descents[0].optimizer == "adamw")
+        return not (may_fail and self.design.start == "flat")
 
 
 class LensDesign(Frozen):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Mapping
 
+from tasklens.settings.base import WithoutDescents
 from tasklens.settings.design_settings import DesignSettings, GradientDesignSettings
 
 DesignsByName = Mapping[str, DesignSettings]
@@ -9,11 +10,7 @@ DesignsByName = Mapping[str, DesignSettings]
 
 def imaging_designs(designs: DesignsByName) -> tuple[str, ...]:
     """Return the imaging designs: those without a network."""
-    return tuple(
-        name
-        for name, design in designs.items()
-        if not (isinstance(design, GradientDesignSettings) and design.by_network)
-    )
+    return tuple(name for name, design in designs.items() if not design.by_network)
 
 
 def vignetted_designs(designs: DesignsByName) -> tuple[str, ...]:
@@ -24,18 +21,12 @@ def vignetted_designs(designs: DesignsByName) -> tuple[str, ...]:
 def best_of(designs: DesignsByName) -> dict[str, tuple[str, ...]]:
     """Return the designs of which the most accurate is the start, by the keyword of `start`."""
     imaging = [name for name in imaging_designs(designs) if name not in vignetted_designs(designs)]
-    spots = (
-        name
-        for name in imaging
-        if all(descent.criterion == "spot" for descent in getattr(designs[name], "descents", ()))
-    )
+    spots = (name for name in imaging if all(descent.criterion == "spot" for descent in designs[name].descents))
     return {"best_imaging": tuple(imaging), "best_spot": tuple(spots)}
 
 
-def starting_designs(design: object, designs: DesignsByName) -> tuple[str, ...]:
+def starting_designs(design: DesignSettings | WithoutDescents, designs: DesignsByName) -> tuple[str, ...]:
     """Return the designs that a design may start from, also those that `best_imaging` or `best_spot` may choose."""
-    if not isinstance(design, GradientDesignSettings):
-        return ()
     return best_of(designs).get(str(design.start), design.starting_designs)
 
 

@@ -213,8 +213,8 @@ def _end_to_end(study: Study) -> list[tuple[str, str, tuple[str, ...]]]:
             comparisons += [
                 (OVER_END_TO_END, lens.name, (other.name,))
                 for other in same
-                if other.end_to_end and other.start in best_of(study.designs)
+                if other.end_to_end and other.design.start in best_of(study.designs)
             ]
-        elif lens.end_to_end and lens.start == "flat" and lens.descents[0].optimizer == "adamw":
+        elif lens.end_to_end and lens.design.start == "flat" and lens.design.descents[0].optimizer == "adamw":
             comparisons.append((FLAT_FAILS, lens.name, ()))
     return comparisons

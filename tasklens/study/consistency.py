@@ -82,7 +82,7 @@ def _check_references(study: Study, where: str, design: DesignSettings | Importe
         spots = design.spot_um if isinstance(design.spot_um, dict) else study.elements
         if missing := [elements for elements in study.elements if elements not in spots]:
             raise ValueError(f"{where}.spot_um: expected a value for {', '.join(missing)}, too")
-    elif isinstance(design, GradientDesignSettings) and design.task is not None:
+    elif design.task is not None:
         networks = study.tasks.networks
         if design.task not in networks:
             raise ValueError(
@@ -206,4 +206,4 @@ def _check_acyclic(study: Study, where: str, name: str, design: DesignSettings) 
             raise ValueError(f"{where}.start: {name} would start from itself, through {', '.join(first)}")
         if other not in seen:
             seen.add(other)
-            queue += starts.starting_designs(study.designs.get(other), study.designs)
+            queue += starts.starting_designs(study.designs[other], study.designs) if other in study.designs else ()

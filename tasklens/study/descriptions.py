@@ -28,8 +28,8 @@ def description(lens: LensEntry) -> str:
         return f"Least squares on rays about the {reference}, from {design.starts} random starts{stop}{vignetting}."
     last = design.descents[-1]
     criterion = _CRITERIA[last.criterion]
-    if lens.other_task:
-        criterion = f"the loss of a network for {lens.other_task}"
+    if design.task:
+        criterion = f"the loss of a network for {design.task}"
     if last.network_learning_rate is not None:
         criterion = "the loss of a network trained together with the lens"
     verb = "Maximises" if last.criterion in ("correlation", "contrast") else "Minimises"

@@ -190,7 +190,7 @@ class Study(Frozen):
         None: they are drawn, or the lens has no descents.
         """
         entry = self.lens(lens)
-        return points(entry.fields or self.fields.design) if entry.descents else None
+        return points(entry.fields or self.fields.design) if entry.design.descents else None
 
     @property
     def lenses(self) -> dict[str, LensEntry]:

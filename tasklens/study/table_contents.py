@@ -88,7 +88,7 @@ def table(study: Study, name: str) -> TableContents:
     lenses = [
         lens
         for lens in study.lenses.values()
-        if not lens.other_task and (lens.by_network if name == "table3" else lens.by_task or not lens.by_network)
+        if not lens.design.task and (lens.by_network if name == "table3" else lens.by_task or not lens.by_network)
     ]
     if name == "table4" and study.restored is not None:
         lenses = [lens for lens in lenses if lens.elements in study.restored]
@@ -133,14 +133,14 @@ def table_lenses(study: Study) -> tuple[str, ...]:
 def lens_design(study: Study, lens: str, seed: int) -> LensDesign:
     """Return the part of a study that the design of a lens may read; raises StudyError."""
     entry = study.lens(lens)
-    by_supervisor = entry.may_focus or (entry.by_network and not entry.other_task)
+    by_supervisor = entry.may_focus or (entry.by_network and not entry.design.task)
     return LensDesign(
         entry=entry.model_copy(update={"capture": None, "fields": None}),  # given by `capture` and `fields` below
         spec=study.lens_spec(lens),
         constraints=study.constraints,
         capture=study.capture_of(lens).model_copy(update={"diffraction": False}) if entry.reads_images else None,
         classifier=study.classifier(study.supervisor) if by_supervisor else None,
-        network=None if entry.other_task is None else study.task_network(entry.other_task),
+        network=None if entry.design.task is None else study.task_network(entry.design.task),
         starts=starts(study, lens),
         fields=study.design_points(lens),
         averaged=PAPER if study.fields.grading == "paper" else GRADING_CENTRES,

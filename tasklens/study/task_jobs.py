@@ -72,7 +72,7 @@ def tasks(study: Study) -> TaskContents:
     chosen = chosen_lenses(study, study.tasks.designs)
     own: list[str] = []
     if study.tasks.designs is None:  # table 1 has none of them
-        own = [lens.name for lens in study.lenses.values() if lens.other_task]
+        own = [lens.name for lens in study.lenses.values() if lens.design.task]
     return TaskContents(
         study=study.name, lenses=(SHARP, *chosen, *own), tasks=tuple(study.tasks.networks), seeds=study.seeds
     )

@@ -4,7 +4,7 @@
 def design_images(wildcards):
     """Return the training images of a design, or for the focus of an imported lens, if it needs any."""
     entry = study_of(wildcards).lens(wildcards.lens)
-    split = TRAINING_SCENES if entry.other_task else TRAIN if entry.reads_images else []
+    split = TRAINING_SCENES if entry.design.task else TRAIN if entry.reads_images else []
     return [path_of(pattern, study_of(wildcards)) for pattern in split]
 
 
@@ -12,8 +12,8 @@ def design_weights(wildcards):
     """Return the weights of the network that supervises a design or a focus, if there is one."""
     study = study_of(wildcards)
     entry = study.lens(wildcards.lens)
-    if entry.other_task:
-        return path_of(rules.task_reference.output.weights, study, task=entry.other_task)
+    if entry.design.task:
+        return path_of(rules.task_reference.output.weights, study, task=entry.design.task)
     by_supervisor = entry.by_network or entry.may_focus
     return path_of(rules.reference.output.weights, study, classifier=study.supervisor) if by_supervisor else []
 

@@ -39,7 +39,7 @@ def run(
 
         device = claim()
         scenes = objects.read(*train, device=device)
-        name, size = str(settings.entry.other_task), scenes.images.shape[-1]
+        name, size = str(settings.entry.design.task), scenes.images.shape[-1]
         images, task = scenes.as_images(), object_tasks.make(name, settings.network, scenes)
         classifier = task_networks.load(name, settings.network, scenes.classes, size, weights).to(device)
     elif train:
@@ -52,7 +52,7 @@ def run(
         from tasklens.recognition.metrics import mean_metrics, worst_field_metrics
 
         # A joint descent does not recover a field that is lost at the start: docs/results/regimes.
-        measure = worst_field_metrics if isinstance(settings.entry.start, tuple) else mean_metrics
+        measure = worst_field_metrics if settings.entry.design.starting_designs else mean_metrics
         measured = (measure(path)["minival_accuracy"] for path in metrics)
         accuracies = dict(zip(settings.starts, measured, strict=True))
     lenses = {name: prescription.read(path)[0].lens for name, path in zip(settings.starts, starts, strict=True)}

@@ -8,7 +8,6 @@ from tasklens.optics.tracing.trace import compile_tracer
 from tasklens.recognition import class_folders, coco
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
-from tasklens.settings.design_settings import GradientDesignSettings
 from tasklens.settings.image_settings import RENDERED_CLASSES
 from tasklens.settings.lens_entries import ImportedLens
 from tasklens.study import consistency
@@ -56,7 +55,7 @@ def _check_free(study: Study, imported_lenses: Mapping[str, Lens]) -> None:
     from tasklens.design.variables import Variables
 
     for lens in study.lenses.values():
-        if not isinstance(lens.design, GradientDesignSettings) or lens.design.free is None:
+        if lens.design.free is None:
             continue
         for name in imported_lenses.keys() & starts(study, lens.name):
             try:
@@ -86,7 +85,7 @@ def _check_networks(study: Study, weights: bool) -> None:
     sizes = {
         f"{place}.descents.{k}.size": part.size
         for place, lens in consistency.lenses_with_keys(study)
-        for k, part in enumerate(lens.descents)
+        for k, part in enumerate(lens.design.descents)
         if part.criterion == "task" and part.size is not None
     }
     for place, size in sizes.items():
