@@ -18,7 +18,7 @@ from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import unused_images
 from tasklens.recognition.training import fit
 from tasklens.runtime.files import FileError, write_tensors
-from tasklens.settings.lens_settings import lens_settings
+from tasklens.settings.lens_settings import lens_settings, with_starts
 from tasklens.settings.network_settings import TrainingSettings
 
 QUICK = ("--elements", "COC", "--set", "evaluations=100", "--set", "starts=3")
@@ -182,7 +182,7 @@ def test_a_mistake_is_one_line_before_the_first_step(photographs, capsys, argume
 
 def test_baselines_do_not_have_the_keys_of_a_network():
     """They have no network whose batch norms could use the statistics of a batch."""
-    arguments = ("task", ("COC",), {}, {"batch_norm": "batch"}, {}, (), None, {"model": "resnet18", "pretrained": True})
-    designs = lens_settings(*arguments, baselines=("correlation",)).designs
+    keys, network = with_starts("task", {"batch_norm": "batch"}, None), {"model": "resnet18", "pretrained": True}
+    designs = lens_settings("task", keys, 51, None, network, ("correlation",)).designs
     assert designs["task"].batch_norm == "batch" and designs["correlation"].batch_norm == "stored"
     assert [descent.criterion for descent in designs["correlation"].descents] == ["correlation"]

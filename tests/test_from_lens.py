@@ -12,6 +12,7 @@ from tasklens.cli.app import main
 from tasklens.design import from_lens
 from tasklens.design.constraints import BUFFER, all_margins, manufacturing_margins, spaces
 from tasklens.design.ray_space import RaySpace
+from tasklens.design.single import LensRequest, designs
 from tasklens.design.variables import free_surfaces
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.focus import move_image_plane
@@ -43,11 +44,12 @@ def triplet(tmp_path_factory):
     return save(tmp_path_factory.mktemp("lens"))
 
 
-def improve(file: LensFile, method: str, free=None, settings=STEPS, constraints=None, **network):
+def improve(file: LensFile, method: str, free=None, settings=STEPS, constraints=None):
     """The lens, its view, its notes, and remarks."""
     remarks: list[str] = []
-    options = (network.get("images"), network.get("classifier"), 0)
-    result = from_lens.design(file, method, free, settings, constraints or {}, *options, remark=remarks.append)
+    start = file.lens, file.view
+    request = LensRequest(method, settings=settings, constraints=constraints, start=start, free=free)
+    result = designs(request, remark=remarks.append)
     return result.lens, result.view, result.notes, remarks
 
 

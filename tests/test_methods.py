@@ -9,7 +9,7 @@ import tasklens
 from tasklens.cli.app import main
 from tasklens.runtime.errors import InputError
 from tasklens.settings.design_methods import methods
-from tasklens.settings.lens_settings import TRAINING, lens_settings
+from tasklens.settings.lens_settings import TRAINING, lens_settings, with_starts
 from tasklens.study.loading import load, parse
 from tasklens.study.study import StudyError
 
@@ -17,8 +17,8 @@ CRITERIA = ("task", "spot", "image_error", "log_image_error", "correlation", "co
 
 
 def designed(method: str, settings: dict):
-    given = method in ("task", *TRAINING)
-    return lens_settings(method, ["COC"], {}, settings, {}, (), None, None, network_given=given)
+    network = small_network(0) if method in ("task", *TRAINING) else None
+    return lens_settings(method, with_starts(method, settings, None), 51, None, network)
 
 
 @pytest.mark.parametrize("method", [name for name in methods() if name != "least_squares"])
@@ -71,8 +71,9 @@ def test_from_flat_plates_a_design_has_the_schedule_of_the_studies(side, name):
     own = load(ROOT / "config" / f"{name}.yaml").designs["tasklens"]
     images = {"size": side, "train": 10, "minival": 2, "test": 10}
     for method, criterion in (("task", "task"), ("correlation", "correlation")):
-        options = {"network_given": method == "task", "baselines": ["log_image_error"] if method == "task" else []}
-        result = lens_settings(method, ["COC"], {}, {"start": "flat"}, {}, (), images, None, **options)
+        network, baselines = (small_network(0), ["log_image_error"]) if method == "task" else (None, [])
+        keys = with_starts(method, {"start": "flat"}, images)
+        result = lens_settings(method, keys, 51, images, network, baselines)
         for design in result.designs.values():
             assert [part.steps for part in design.descents] == [part.steps for part in own.descents]
         assert {part.criterion for part in result.designs[method].descents} == {criterion}
@@ -85,7 +86,7 @@ def test_methods_without_a_schedule_from_flat_plates_refuse_them():
     for method in ("joint", "contrast", "least_squares"):
         with pytest.raises(InputError, match=f"method {method}: has no schedule from flat plates; choose task, "):
             designed(method, {"start": "flat"})
-    wide = lens_settings("correlation", ["COC"], {"kernel_size": 151}, {"start": "flat"}, {}, (), None, None)
+    wide = lens_settings("correlation", with_starts("correlation", {"start": "flat"}, None), 151, None, None)
     assert wide.designs["correlation"].descents[0].size is None
 
 

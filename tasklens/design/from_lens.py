@@ -1,17 +1,14 @@
 """Design from a lens of the user: only the free variables change; glasses and all other values stay."""
 
 import math
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tasklens.design import chain
 from tasklens.design.chain import Designs
 from tasklens.design.constraints import BUFFER, buffer_scale, limit_margins
 from tasklens.design.merit import limit_semi_diameters
-from tasklens.design.supervision import OF_SETTINGS, Supervision
 from tasklens.design.variables import ORDERS, free_surfaces
 from tasklens.optics.analysis.paraxial import check_focal_length, paraxial
 from tasklens.optics.analysis.spots import has_light
@@ -23,7 +20,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
 from tasklens.settings.layers import merged_settings
-from tasklens.settings.lens_settings import lens_settings
+from tasklens.settings.lens_settings import method_settings
 from tasklens.settings.messages import validate
 from tasklens.settings.specification import Constraints, Spec
 
@@ -37,39 +34,26 @@ _LENGTHS = (  # limits that are lengths
 _SPOT = {"descents": [{"steps": 500, "step_size": 0.3, "momentum": 0.95, "criterion": "spot"}]}
 
 
-def design(
+def improvement(
     file: LensFile,
     method: str,
-    free: Mapping[str, Sequence[int] | None] | None,
     settings: Mapping[str, Any],
+    free: Mapping[str, Sequence[int] | None] | None,
     constraints: Mapping[str, Any],
-    images: Mapping[str, Any] | None,
-    classifier: Mapping[str, Any] | None,
-    seed: int,
-    user: Supervision = OF_SETTINGS,
-    baselines: Sequence[str] = (),
-    remark: Callable[[str], None] = warnings.warn,
-) -> Designs:
-    """Improve a lens by a method.
+    remark: Callable[[str], None],
+) -> tuple[dict[str, Any], Spec, Constraints, View]:
+    """Return the keys of a design that improves a lens, the specification and limits of the lens, and its nine fields.
 
     Args:
-        file: the lens, with its view.
         method: one of `methods` that designs by descents.
+        settings: keys of the design that differ from the method's.
         free: free variables by name, with their surfaces, as for `free_surfaces`.
-        settings: settings of the method that differ from its defaults.
         constraints: limits that differ from those of a study. They are enforced; the others are relaxed to the lens.
-        images, classifier: keys of `ImageSettings` and `ClassifierSettings`.
-        seed: seed of all random numbers.
-        user: images, network and task of a user.
-        baselines: criteria for comparison; each improves the lens with the same effort.
-        remark: callback for each assumption about the lens, as text, before the design.
-
-    Returns:
-        All lenses, from the start to the result of the method; the prescription is that of the start.
+        remark: callback for each assumption about the lens, as text.
 
     Raises:
         InputError: the object is at a finite distance, there are not three wavelengths, the field is too wide, no
-            light arrives at a field, surfaces cross, the lens lacks a variable, or `single.designs` raises it.
+            light arrives at a field, surfaces cross, the lens lacks a variable, or a key is wrong.
     """
     given = _constraints(method, settings, constraints)
     for text in file.remarks:
@@ -82,37 +66,37 @@ def design(
             "--field-of-view"
         )
     free = free_surfaces(file.lens, free)
-    if method == "spot":  # its default descent begins with flat plates
-        settings = merged_settings(_SPOT, settings)
-    pixels = {"kernel_size": spec.kernel_size, "pixel_pitch_um": spec.pixel_pitch_um}
-    options = {**settings, "free": {name: list(surfaces) for name, surfaces in free.items()}, "keep_apertures": True}
-    chosen = lens_settings(
-        method,
-        ("COC",),
-        pixels,
-        options,
-        {},
-        (),
-        images,
-        classifier,
-        alone=True,
-        baselines=baselines,
-        network_given=user.network is not None,
-    )
+    base = _SPOT if method == "spot" else method_settings(method)  # the descent of `spot` begins with flat plates
+    own = {"start": "flat", "free": {name: list(surfaces) for name, surfaces in free.items()}, "keep_apertures": True}
     limits, relaxed = own_limits(file.lens, view, given, set(constraints))
     for text in filter(None, (relaxed, _fixed_coefficients(file.lens, free))):
         remark(text)
-    plastics = tuple(dict.fromkeys(file.lens.media))
-    plans = {}
-    for name, plan in chosen.plans(seed).items():
-        entry = plan.entry.model_copy(update={"plastics": plastics})
-        own = {"entry": entry, "spec": spec, "constraints": limits, "starts": ("start",)}
-        plans[name] = plan.model_copy(update=own)
-    result = chain.design(plans, chosen.images, user, {"start": file.lens})
-    before, after = (float(paraxial(lens, view.reference_um).f_number) for lens in (file.lens, result.lens))
+    return merged_settings(base, settings) | own, spec, limits, view
+
+
+def finished(result: Designs, file: LensFile, view: View, changed: set[str], remark: Callable[[str], None]) -> Designs:
+    """Return designs that start from the lens of a file with the data of the file.
+
+    Args:
+        view: view of the nine fields.
+        changed: keywords that replace data of the file.
+        remark: callback for a changed F-number, as text.
+    """
+    lens, source = result.lens, file.prescription
+    before, after = (float(paraxial(other, view.reference_um).f_number) for other in (file.lens, lens))
     if not math.isclose(before, after, rel_tol=_F_NUMBER):
         remark(f"F-number {before:.4g} to {after:.4g}: the stop is fixed, the focal length within its limits is not")
-    return replace(result, view=view, prescription=file.prescription)
+    if changed & {"field_of_view_deg", "object_distance_mm"}:
+        source = replace(source, fields=None)
+    if "wavelengths_um" in changed:
+        source = replace(source, wavelengths_um=None, primary=None)
+    data = with_system_data(replace(source, lens=lens, object_distance_mm=math.inf), view)
+    if data.aperture is not None and data.wavelengths_um is not None:
+        first_order = paraxial(lens, data.wavelengths_um[data.primary or 0])
+        kind = data.aperture[0]
+        value = first_order.f_number if kind == "f_number" else 2 * first_order.entrance_pupil_radius
+        data = replace(data, aperture=(kind, float(value)))
+    return replace(result, view=view, prescription=data)
 
 
 def read_start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) -> LensFile:
@@ -131,21 +115,6 @@ def read_start(start: Any, catalogues: Sequence[Path], spec: Mapping[str, Any]) 
     section = {"spec": spec_of(view)}
     content = prescription.to_dict(with_system_data(Prescription(lens.detached()), view)) | section
     return with_specification(prescription.from_dict(content, "start"), section, "start", **spec)
-
-
-def designed_prescription(source: Prescription, lens: Lens, view: View, changed: set[str]) -> Prescription:
-    """Return `source` with the designed lens, without data that the keywords `changed` replace."""
-    if changed & {"field_of_view_deg", "object_distance_mm"}:
-        source = replace(source, fields=None)
-    if "wavelengths_um" in changed:
-        source = replace(source, wavelengths_um=None, primary=None)
-    data = with_system_data(replace(source, lens=lens, object_distance_mm=math.inf), view)
-    if data.aperture is None or data.wavelengths_um is None:
-        return data
-    first_order = paraxial(lens, data.wavelengths_um[data.primary or 0])
-    kind = data.aperture[0]
-    value = first_order.f_number if kind == "f_number" else 2 * first_order.entrance_pupil_radius
-    return replace(data, aperture=(kind, float(value)))
 
 
 def _constraints(method: str, settings: Mapping[str, Any], constraints: Mapping[str, Any]) -> Constraints:

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -11,14 +11,18 @@ from torch import nn
 from tasklens.design import chain, from_lens
 from tasklens.design.chain import Designs
 from tasklens.design.supervision import Loss, Supervision, UserTask
-from tasklens.materials.library import user_files
+from tasklens.materials.library import Library, user_files
+from tasklens.materials.material import Material
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.recognition import pairs
 from tasklens.recognition.dataset import MAX_IMAGES, PHOTOGRAPH_SIZE, ImageDataset, training_count
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import as_paths
-from tasklens.settings.lens_settings import lens_settings
+from tasklens.runtime.files import FileError, as_paths
+from tasklens.settings import feasibility
+from tasklens.settings.lens_settings import ELEMENTS, lens_settings, with_starts
+from tasklens.settings.messages import validate
+from tasklens.settings.specification import Constraints, Spec
 
 _ELEMENTS = ("COC", "OKP4")
 _OF_THE_START = ("elements", "diagonal_mm", "aspect")  # what a lens that is improved keeps
@@ -75,42 +79,51 @@ def designs(
     method = request.method or ("least_squares" if start is None else "spot")
     if start == "flat":
         settings, start = {**settings, "start": "flat"}, None
-    spec = {key: value for key, value in request.spec.items() if value is not None}
+    spec_keys = {key: value for key, value in request.spec.items() if value is not None}
     if request.loss is not None and request.network is None:
         raise InputError("loss: only with a `network`; omit it, or give one")
     if request.loss is not None:  # labels may be masks or positions, which augmentation would not move
         settings = {"augment": False, **settings}
     images, dataset = _images(request.images, request.size, held_out)
-    classifier, module = (request.network, None) if isinstance(request.network, Mapping) else (None, request.network)
+    module = None if isinstance(request.network, Mapping) else request.network
     user = Supervision(dataset, module, None if request.loss is None else UserTask(request.loss))
-    catalogues = as_paths(request.catalogues, "catalogues")
-    if start is not None:
-        for key, value in {"elements": request.elements, **spec}.items():
+    catalogues = [*as_paths(request.catalogues, "catalogues"), *user_files()]
+    given: dict[str, Lens] = {}
+    if start is None:
+        if request.free is not None:
+            raise InputError("free: only with `start`, the file of a lens")
+        spec, limits = validate(Spec, spec_keys, "spec"), validate(Constraints, constraints, "constraints")
+        if spec.object_distance_mm is not None:
+            raise InputError("spec.object_distance_mm: designs need an object at infinity")
+        plastics = _plastics(_ELEMENTS if request.elements is None else request.elements, catalogues)
+        feasibility.check(ELEMENTS, "spec", plastics, spec, limits)
+        keys = with_starts(method, settings, images)
+    else:
+        for key, value in {"elements": request.elements, **spec_keys}.items():
             if value is not None and key in _OF_THE_START:
                 raise InputError(f"{key}: not with `start`, whose lens has its own")
-        file = from_lens.read_start(start, [*catalogues, *user_files()], spec)
-        options = (settings, constraints, images, classifier, request.seed, user, baselines, remark)
-        result = from_lens.design(file, method, request.free, *options)
-        if isinstance(start, str | Path):
-            result.notes["origin"]["start"] = str(Path(start))
-        return replace(
-            result, prescription=from_lens.designed_prescription(file.prescription, result.lens, result.view, set(spec))
-        )
-    if request.free is not None:
-        raise InputError("free: only with `start`, the file of a lens")
-    chosen = lens_settings(
-        method,
-        _ELEMENTS if request.elements is None else request.elements,
-        spec,
-        settings,
-        constraints,
-        [str(path) for path in (*catalogues, *user_files())],
-        images,
-        classifier,
-        baselines=baselines,
-        network_given=module is not None,
-    )
-    return chain.design(chosen.plans(request.seed), chosen.images, user, {})
+        file = from_lens.read_start(start, catalogues, spec_keys)
+        own, spec, limits, view = from_lens.improvement(file, method, settings, request.free, constraints, remark)
+        keys, plastics, given = {method: own}, tuple(dict.fromkeys(file.lens.media)), {"start": file.lens}
+    chosen = lens_settings(method, keys, spec.kernel_size, images, request.network, baselines)
+    result = chain.design(chosen.plans(plastics, spec, limits, request.seed, given), chosen.images, user, given)
+    if start is None:
+        return result
+    if isinstance(start, str | Path):
+        result.notes["origin"]["start"] = str(Path(start))
+    return from_lens.finished(result, file, view, set(spec_keys), remark)
+
+
+def _plastics(elements: Sequence[str], catalogues: Sequence[Path]) -> tuple[Material, ...]:
+    """Return plastics by their names; raises InputError."""
+    if not elements:
+        raise InputError("elements: expected at least one plastic")
+    library = Library(catalogues)
+    library.check()
+    try:
+        return tuple(library.glass(name) for name in elements)
+    except FileError as error:
+        raise InputError(f"elements: {error}") from None
 
 
 def _images(images: Any, size: int | None, held_out: bool) -> tuple[dict[str, Any] | None, ImageDataset | None]:
