@@ -285,7 +285,7 @@ def test_a_verdict_names_the_best_lens_for_image_quality(images, network):
     assert list(result.lenses) == ["log_image_error", "correlation", "task"]
     assert not torch.equal(result.lenses["task"].curvature, result.lenses["correlation"].curvature)
     words, ranking = verdict(result, random_images(30, 32, 3, seed=1))
-    assert {rank.lens for rank in ranking.ranks} == set(result.lenses)
-    accuracy = {rank.lens: rank.accuracy for rank in ranking.ranks}
+    accuracy = ranking.table.set_index("lens")["accuracy"]
+    assert set(accuracy.index) == set(result.lenses)
     assert f"recognises {accuracy['task']:.1f} % through this lens" in words and "On 30 photographs" in words
     assert any(f"({name}, chosen on photographs" in words for name in BASELINES)

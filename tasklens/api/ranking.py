@@ -34,7 +34,6 @@ from tasklens.runtime.tensors import explain_errors
 from tasklens.show import between_fields, headings
 from tasklens.show import lens_ranks as report
 from tasklens.show.figures import section_svg
-from tasklens.show.lens_ranks import Rank
 
 _RAYS = 4096  # rays of each field and colour
 
@@ -45,7 +44,6 @@ class Ranking:
 
     Attributes:
         table: a row for each lens.
-        ranks: accuracies, intervals and groups.
         correct: by lens, 1 if an image is classified correctly, else 0; a row per image, a column per field.
         at_nine: the same at the paper's nine fields.
         drawings: cross-sections by lens, as SVG.
@@ -53,7 +51,6 @@ class Ranking:
     """
 
     table: pandas.DataFrame
-    ranks: Sequence[Rank]
     correct: Mapping[str, pandas.DataFrame]
     at_nine: Mapping[str, pandas.DataFrame]
     drawings: Mapping[str, str]
@@ -62,14 +59,13 @@ class Ranking:
     @property
     def sentences(self) -> list[str]:
         """Sentences that name the lenses with equal accuracy, and the deficit of the others."""
-        return report.sentences(self.ranks, {})
+        return report.sentences(self.table)
 
     def save(self, path: str | Path, title: str = "Which lens for this network?", answer: Sequence[str] = ()) -> None:
         """Write the ranking as one HTML file; the sentences in `answer` come first."""
-        rows = [{str(key): value for key, value in row.items()} for row in self.table.to_dict("records")]
         texts: dict[str, Any] = {"title": title, "images": len(next(iter(self.correct.values()))), "sharp": self.sharp}
         texts |= {"tuned": ", as it is", "left_out": {}, "grade": ""}
-        page = report.render(self.ranks, rows, self.drawings, [*answer, *self.sentences], **texts)
+        page = report.render(self.table, {}, self.correct, self.drawings, [*answer, *self.sentences], **texts)
         write_text(as_path(path, "path"), page)
 
     def __repr__(self) -> str:
@@ -196,16 +192,19 @@ def measure_lenses(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImag
         at_nine[name], _ = predictions(subject, lens, view, (PAPER,), name, rays)
     for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
         warnings.warn(f"rank: {sentence}", stacklevel=4)
-    ranks = report.rank_lenses(correct)
-    rows, drawings = [], {}
-    for place in ranks:
-        lens, view = lenses[place.lens]
-        field_of_view = 2 * degrees(atan(float(view.radii.max()) / view.efl))
-        rms_um = means(lens, view.at(GRADING_CENTRES), rays)["rms_spot_um"]
-        f_number = float(paraxial(lens.detached(), view.reference_um).f_number)
-        rows.append(report.row(place, place.lens, at_nine[place.lens], f_number, field_of_view, rms_um))
-        drawings[place.lens] = section_svg(lens.detached(), view)
-    return Ranking(pandas.DataFrame(rows), ranks, correct, at_nine, drawings, 100 * subject.accuracy)
+    table = report.rank_lenses(correct, at_nine)
+    figures, drawings = [], {}
+    for name in table["lens"]:
+        lens, view = lenses[name]
+        figures.append(
+            {
+                "f_number": float(paraxial(lens.detached(), view.reference_um).f_number),
+                "field_of_view_deg": 2 * degrees(atan(float(view.radii.max()) / view.efl)),
+                "rms_spot_um": means(lens, view.at(GRADING_CENTRES), rays)["rms_spot_um"],
+            }
+        )
+        drawings[name] = section_svg(lens.detached(), view)
+    return Ranking(table.join(pandas.DataFrame(figures)), correct, at_nine, drawings, 100 * subject.accuracy)
 
 
 def _check_light(name: str, lens: Lens, view: View) -> None:

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy
@@ -17,29 +16,7 @@ _ROUNDING = 1e-9  # of accuracies [%]: resampled means of equal values differ in
 _SCALE = 5.0  # step of the axis of accuracies on the page [%]
 
 
-@dataclass(frozen=True)
-class Rank:
-    """One lens in a ranking; accuracies [%], differences [points].
-
-    Attributes:
-        group: number of the group, from 1.
-        low, high: interval of the accuracy.
-        behind, behind_low, behind_high: accuracy of the first lens minus this one, and its interval.
-        by_field: accuracy at each field.
-    """
-
-    lens: str
-    group: int
-    accuracy: float
-    low: float
-    high: float
-    behind: float
-    behind_low: float
-    behind_high: float
-    by_field: tuple[float, ...]
-
-
-def rank_lenses(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
+def rank_lenses(correct: Mapping[str, pandas.DataFrame], at_nine: Mapping[str, pandas.DataFrame]) -> pandas.DataFrame:
     """Rank lenses by accuracy, and group lenses that the photographs cannot tell apart.
 
     A group begins with the best lens that has no group yet. It ends before the first lens that is significantly less
@@ -48,6 +25,12 @@ def rank_lenses(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
 
     Args:
         correct: by lens, 1 where an image is classified correctly, else 0; a row per image, a column per field.
+        at_nine: the same at the paper's nine fields.
+
+    Returns:
+        A row per lens, in order: `lens`; the number of its `group`, from 1; `accuracy` [%]; `behind`, the accuracy of
+        the first lens minus this one [points]; both with their intervals, `_low` and `_high`; `accuracy_at_nine`,
+        `accuracy_axis` and `accuracy_corner`, at the nine fields, the first and the last of them [%].
     """
     names = sorted(correct, key=lambda name: -correct[name].to_numpy().mean())
     for name in names[1:]:
@@ -55,15 +38,27 @@ def rank_lenses(correct: Mapping[str, pandas.DataFrame]) -> list[Rank]:
     values = 100 * numpy.stack([correct[name].mean(axis=1).to_numpy() for name in names], 1)
     means, observed = resampled_means(values), values.mean(0)
     groups = _groups(means, len(values))
-    ranks = []
+    rows = []
     for k, name in enumerate(names):
-        low, high = _interval(means[:, 0] - means[:, k], len(values)) if k else (0.0, 0.0)
-        behind = max(low, -100.0), min(high, 100.0)
-        by_field = tuple(predictions.accuracy_by_field(correct[name]))
         low, high = _interval(means[:, k], len(values))
-        accuracy = observed[k], max(low, 0.0), min(high, 100.0)
-        ranks.append(Rank(name, groups[k], *accuracy, observed[0] - observed[k], *behind, by_field))
-    return ranks
+        behind_low, behind_high = _interval(means[:, 0] - means[:, k], len(values)) if k else (0.0, 0.0)
+        by_field = predictions.accuracy_by_field(at_nine[name])
+        rows.append(
+            {
+                "lens": name,
+                "group": groups[k],
+                "accuracy": observed[k],
+                "accuracy_low": max(low, 0.0),
+                "accuracy_high": min(high, 100.0),
+                "behind": observed[0] - observed[k],
+                "behind_low": max(behind_low, -100.0),
+                "behind_high": min(behind_high, 100.0),
+                "accuracy_at_nine": numpy.mean(by_field),
+                "accuracy_axis": by_field[0],
+                "accuracy_corner": by_field[-1],
+            }
+        )
+    return pandas.DataFrame(rows)
 
 
 def _interval(means: numpy.ndarray, images: int) -> tuple[float, float]:
@@ -99,55 +94,29 @@ def _groups(means: numpy.ndarray, images: int) -> list[int]:
     return groups
 
 
-def sentences(ranks: Sequence[Rank], titles: Mapping[str, str]) -> list[str]:
+def sentences(table: pandas.DataFrame) -> list[str]:
     """Say, group by group, which lenses are equal and how far the others are behind."""
     answer = []
-    for number in range(1, ranks[-1].group + 1):
-        group = [rank for rank in ranks if rank.group == number]
-        names = _and([titles.get(rank.lens, rank.lens) for rank in group])
-        if number > 1:
-            low, high = min(rank.behind_low for rank in group), max(rank.behind_high for rank in group)
+    for number, group in table.groupby("group"):
+        *others, last = group["lens"]
+        names = f"{', '.join(others)} and {last}" if others else last
+        low, high = group["behind_low"].min(), group["behind_high"].max()
+        if number != 1:
             answer.append(f"{names}: {low:.1f} to {high:.1f} points behind the first.")
-        elif len(ranks) == 1:
-            answer.append(f"{names}: {ranks[0].accuracy:.1f} %, without another lens to compare with.")
-        elif len(group) == 1:
+        elif len(table) == 1:
+            accuracy = group["accuracy"].iloc[0]
+            answer.append(f"{names}: {accuracy:.1f} %, without another lens to compare with.")
+        elif not others:
             answer.append(f"{names} is the best.")
         else:
-            most = max(rank.behind_high for rank in group)
-            answer.append(f"{names} cannot be distinguished by these photographs: they agree within {most:.1f} points.")
+            answer.append(f"{names} cannot be distinguished by these photographs: they agree within {high:.1f} points.")
     return answer
 
 
-def _and(names: Sequence[str]) -> str:
-    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
-
-
-def row(
-    rank: Rank, title: str, at_nine: pandas.DataFrame, f_number: float, field_of_view_deg: float, rms_spot_um: float
-) -> dict[str, Any]:
-    """Return the row of a lens in the table; `at_nine` are its answers at the paper's nine fields."""
-    by_field = predictions.accuracy_by_field(at_nine)
-    return {
-        "lens": title,
-        "group": rank.group,
-        "accuracy": rank.accuracy,
-        "accuracy_low": rank.low,
-        "accuracy_high": rank.high,
-        "behind": rank.behind,
-        "behind_low": rank.behind_low,
-        "behind_high": rank.behind_high,
-        "accuracy_at_nine": float(numpy.mean(by_field)),
-        "accuracy_axis": by_field[0],
-        "accuracy_corner": by_field[-1],
-        "f_number": f_number,
-        "field_of_view_deg": field_of_view_deg,
-        "rms_spot_um": rms_spot_um,
-    }
-
-
 def render(
-    ranks: Sequence[Rank],
-    rows: Sequence[Mapping[str, Any]],
+    table: pandas.DataFrame,
+    titles: Mapping[str, str],
+    correct: Mapping[str, pandas.DataFrame],
     drawings: Mapping[str, str],
     answer: Sequence[str],
     **words: Any,
@@ -155,17 +124,24 @@ def render(
     """Return the page as HTML.
 
     Args:
-        rows: rows of the table, in the order of `ranks`.
+        table: as `rank_lenses` returns it, with `f_number`, `field_of_view_deg` and `rms_spot_um`; perhaps with more.
+        titles: by lens, if they differ from its name.
+        correct: by lens, as in `rank_lenses`.
         drawings: cross-sections by lens, as SVG.
         answer: sentences.
         words: `title`; `images`, their number; `sharp`, the accuracy on them [%]; `tuned`, how the network got used to
             a lens; `left_out` with reasons by lens; `grade` of built lenses.
     """
     entries = [
-        {"rank": rank, "row": row, "drawing": pictures.of_text(drawings[rank.lens], ".svg")}
-        for rank, row in zip(ranks, rows, strict=True)
+        {
+            "row": row.dropna().to_dict(),
+            "title": titles.get(row["lens"], row["lens"]),
+            "by_field": predictions.accuracy_by_field(correct[row["lens"]]),
+            "drawing": pictures.of_text(drawings[row["lens"]], ".svg"),
+        }
+        for _, row in table.iterrows()
     ]
-    better = ranks[: (len(ranks) + 1) // 2]  # the other lenses may be at the left edge
-    low = min(100 - _SCALE, _SCALE * (min(rank.low for rank in better) // _SCALE))
+    better = table["accuracy_low"].head((len(table) + 1) // 2)  # the other lenses may be at the left edge
+    low = min(100 - _SCALE, _SCALE * (better.min() // _SCALE))
     values = {"entries": entries, "answer": answer, "low": low, "width": 100 - low}
     return pictures.render(__package__, "ranking.html", **values, **words)

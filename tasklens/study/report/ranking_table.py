@@ -13,7 +13,6 @@ from tasklens.runtime.files import read_table, write_text
 from tasklens.settings.names import SHARP
 from tasklens.show import between_fields, lens_ranks, predictions
 from tasklens.show.figures import section_svg
-from tasklens.show.lens_ranks import Rank
 from tasklens.show.publish import publish
 from tasklens.show.tolerance_page import distribution
 from tasklens.study.report_jobs import RankingJob
@@ -47,65 +46,62 @@ def make(
     correct = {lens: predictions.read(path) for lens, path in measured.items()}
     sharp = float(100 * correct.pop(SHARP).to_numpy().mean())
     at_nine = {lens: predictions.read(measured[lens], "nine") for lens in settings.lenses}
-    ranks = lens_ranks.rank_lenses(correct)
+    table = lens_ranks.rank_lenses(correct, at_nine)
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
     means = {lens: mean_metrics(path) for lens, path in zip((SHARP, *settings.lenses), metrics, strict=True)}
     losses = {lens: _loss_as_built(path) for lens, path in zip(facts.built, built, strict=True)}
     rows = []
-    for rank in ranks:
-        content = contents[rank.lens][1]
-        title, f_number = facts.titles.get(rank.lens, rank.lens), content["figures"]["f_number"]
-        rms_um = content["means"]["rms_spot_um"]
-        columns = lens_ranks.row(
-            rank, title, at_nine[rank.lens], f_number, content["spec"]["field_of_view_deg"], rms_um
-        )
-        if "zero_shot_accuracy" in means[rank.lens]:
-            columns["zero_shot_accuracy"] = means[rank.lens]["zero_shot_accuracy"]
-        columns |= {"mtf_mean": facts.mtf[rank.lens]} if rank.lens in facts.mtf else {}
+    for lens in table["lens"]:
+        content = contents[lens][1]
+        row = {
+            "f_number": content["figures"]["f_number"],
+            "field_of_view_deg": content["spec"]["field_of_view_deg"],
+            "rms_spot_um": content["means"]["rms_spot_um"],
+        }
+        if "zero_shot_accuracy" in means[lens]:
+            row["zero_shot_accuracy"] = means[lens]["zero_shot_accuracy"]
+        row |= {"mtf_mean": facts.mtf[lens]} if lens in facts.mtf else {}
         if "focus" in (origin := content["origin"]):  # of an imported lens
-            columns |= {"focus": origin["focus"], "image_plane_shift_um": 1e3 * origin["image_plane_shift_mm"]}
-        rows.append(columns | losses.get(rank.lens, {}))
-    table = pandas.DataFrame(rows)
+            row |= {"focus": origin["focus"], "image_plane_shift_um": 1e3 * origin["image_plane_shift_mm"]}
+        rows.append(row | losses.get(lens, {}))
+    table = table.join(pandas.DataFrame(rows))
+    titles = {lens: facts.titles.get(lens, lens) for lens in settings.lenses}
+    by_title = table.assign(lens=table["lens"].map(titles))
     tuned = f", after {settings.epochs:g} epochs of fine-tuning" if settings.epochs else ", as it is"
     count, fields = next(iter(correct.values())).shape
     note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count, fields=fields)
-    answer = lens_ranks.sentences(ranks, facts.titles)
-    answer += [text for text in [sieve(ranks, facts.mtf, settings.sieved)] if text is not None]
-    names = {lens: facts.titles.get(lens, lens) for lens in settings.lenses}
-    between, at_nine_by_title = ({names[lens]: part[lens] for lens in names} for part in (correct, at_nine))
+    answer = lens_ranks.sentences(by_title)
+    answer += [text for text in [sieve(table, facts.mtf, settings.sieved)] if text is not None]
+    between, at_nine_by_title = ({titles[lens]: part[lens] for lens in titles} for part in (correct, at_nine))
     answer += between_fields.warnings(between, at_nine_by_title, "the paper's nine fields")
     left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
     note += _ZERO_SHOT if "zero_shot_accuracy" in table else ""
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
-    publish(csv, md, table, below)
+    publish(csv, md, by_title, below)
     drawings = {
         lens: section_svg(prescribed.lens, view_of(prescribed.lens, content, str(files[lens])))
         for lens, (prescribed, content) in contents.items()
     }
     words = {"title": f"Which lens for {settings.model}?", "images": count, "sharp": sharp, "tuned": tuned}
     words |= {"left_out": facts.left_out, "grade": settings.grade.replace("_", " ")}
-    write_text(page, lens_ranks.render(ranks, rows, drawings, answer, **words))
+    write_text(page, lens_ranks.render(table, titles, correct, drawings, answer, **words))
 
 
-def sieve(ranks: Sequence[Rank], mtf: Mapping[str, float], sieved: Sequence[str]) -> str | None:
+def sieve(table: pandas.DataFrame, mtf: Mapping[str, float], sieved: Sequence[str]) -> str | None:
     """Say which lenses the sieve by the MTF left out, and whether a better lens may be among them; None without one.
 
     A surprise is a lens of lower MTF that is more accurate than one of higher MTF.
     """
-    if not sieved or len(ranks) < 3:
+    if not sieved or len(table) < 3:
         return None
-    order = sorted(ranks, key=lambda rank: mtf[rank.lens])
-    best, surprise = order[0].accuracy, 0.0
-    for rank in order[1:]:
-        surprise = max(surprise, best - rank.accuracy)
-        best = max(best, rank.accuracy)
-    accuracies = [rank.accuracy for rank in ranks]
+    mtfs, accuracies = table["lens"].map(mtf), table["accuracy"]
+    rising = accuracies[mtfs.sort_values(kind="stable").index]  # with the MTF
+    surprise = (rising.cummax() - rising).max()
     follows = "all have one accuracy"
-    if len(set(accuracies)) > 1:
-        correlation = spearmanr([mtf[rank.lens] for rank in ranks], accuracies).statistic
-        follows = f"accuracy follows the MTF with a rank correlation of {correlation:.2f}"
-    needed = ranks[0].accuracy - order[0].accuracy
+    if accuracies.nunique() > 1:
+        follows = f"accuracy follows the MTF with a rank correlation of {spearmanr(mtfs, accuracies).statistic:.2f}"
+    needed = accuracies.iloc[0] - rising.iloc[0]
     least = max(mtf[name] for name in sieved)
     hope = "would be a surprise" if needed > surprise else "cannot be excluded"
     count = "1 lens" if len(sieved) == 1 else f"{len(sieved)} lenses"
