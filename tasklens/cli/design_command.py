@@ -6,11 +6,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
 
-from tasklens.cli.options import PANEL, NetworkOptions, PhotographOptions, Seed, in_panel, parse_settings, with_options
+from tasklens.cli.options import PANEL, NetworkOptions, PhotographOptions, Seed, parse_settings, with_options
 from tasklens.cli.outputs import (
     AsJson,
     Force,
@@ -53,11 +53,11 @@ class MethodOptions:
     ] = None
 
 
-@in_panel(_START)
 @dataclass(frozen=True)
 class StartOptions:
     """The start of a design, and what of it is free."""
 
+    panel: ClassVar[str] = _START
     start: Annotated[
         Path | None,
         typer.Option(
@@ -91,11 +91,11 @@ class StartOptions:
             raise InputError("--free, --configuration, --object-distance: only with --start FILE")
 
 
-@in_panel(_SPEC)
 @dataclass(frozen=True)
 class SpecOptions:
     """Specification of the lens."""
 
+    panel: ClassVar[str] = _SPEC
     f_number: Annotated[float | None, typer.Option(help="F-number; by default 2.8.")] = None
     field_of_view: Annotated[float | None, typer.Option(help="Full field of view (degrees); by default 68.8.")] = None
     diagonal: Annotated[float | None, typer.Option(help="Diagonal of the sensor (mm); by default 4.")] = None

@@ -6,7 +6,7 @@ from copy import copy
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar, get_args
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
 
 import typer
 import yaml
@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 PANEL = "Network and photographs"  # of their options in the help
 _LENS = "Overrides, and values missing from the file"
-_Group = TypeVar("_Group", bound=Callable[..., Any])
 
 Seed = Annotated[int, typer.Option(min=0, max=2**31 - 1, help="Seed of all random numbers.")]
 FieldOfView = Annotated[float | None, typer.Option(help="Full field of view (degrees).", rich_help_panel=_LENS)]
@@ -32,17 +31,6 @@ Configuration = Annotated[
 ]
 
 
-def in_panel(panel: str) -> Callable[[_Group], _Group]:
-    """Return a decorator of a group of options: their help is in a panel, unless an option names another one."""
-
-    def decorate(group: _Group) -> _Group:
-        group.panel = panel  # type: ignore[attr-defined]  # `with_options` reads it
-        return group
-
-    return decorate
-
-
-@in_panel(_LENS)
 def reader(
     field_of_view: FieldOfView = None,
     f_number: Annotated[
@@ -91,6 +79,9 @@ def reader(
     return read
 
 
+reader.panel = _LENS  # type: ignore[attr-defined]  # `with_options` reads it
+
+
 def _focus(text: str) -> str | float:
     """Return a name of a focus, or a shift [um]; `best` is an older name of `mtf`."""
     try:
@@ -99,22 +90,22 @@ def _focus(text: str) -> str | float:
         return "mtf" if text == "best" else text
 
 
-@in_panel(PANEL)
 @dataclass(frozen=True)
 class PhotographOptions:
     """A folder of photographs."""
 
+    panel: ClassVar[str] = PANEL
     images: Annotated[
         Path | None, typer.Option(help="Folder of photographs: <class>/*, or train/<class>/* and test/<class>/*.")
     ] = None
     size: Annotated[int | None, typer.Option(help="Side of the photographs (pixels); by default 224.")] = None
 
 
-@in_panel(PANEL)
 @dataclass(frozen=True)
 class NetworkOptions:
     """A network with its weights."""
 
+    panel: ClassVar[str] = PANEL
     network: Annotated[str | None, typer.Option(help="Name of the network in timm, or package.module:function.")] = None
     weights: Annotated[Path | None, typer.Option(help="File of its weights: .safetensors, .pth or .npz.")] = None
     pretrained: Annotated[bool, typer.Option("--pretrained", help="Use published weights from timm's hub.")] = False
@@ -171,8 +162,8 @@ def with_options(**groups: Callable[..., Any]) -> Callable[[Callable[..., None]]
     """Return a decorator that replaces parameters of a command by groups of options.
 
     Args:
-        groups: by parameter, a data class or a function whose parameters are options, as typer declares them. The
-            command gets the object, or what the function returns.
+        groups: by parameter, a data class or a function whose parameters are options, as typer declares them, in the
+            `panel` of the help that it names. The command gets the object, or what the function returns.
     """
     options = {name: _options(group) for name, group in groups.items()}
 

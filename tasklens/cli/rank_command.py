@@ -4,11 +4,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, ClassVar
 
 import typer
 
-from tasklens.cli.options import Catalogues, NetworkOptions, PhotographOptions, in_panel, with_options
+from tasklens.cli.options import Catalogues, NetworkOptions, PhotographOptions, with_options
 from tasklens.cli.outputs import progress_bars, say
 from tasklens.runtime.errors import InputError
 from tasklens.settings.names import Focus
@@ -16,11 +16,11 @@ from tasklens.settings.names import Focus
 _SENSOR, _MORE = "Sensor and object", "Further options"
 
 
-@in_panel(_SENSOR)
 @dataclass(frozen=True)
 class SensorOptions:
     """The sensor of all lenses, and the object."""
 
+    panel: ClassVar[str] = _SENSOR
     diagonal: Annotated[float, typer.Option(help="Diagonal of the sensor (mm).")] = 4.0
     pixel_pitch: Annotated[float, typer.Option(help="Pixel pitch (um).")] = 1.8
     kernel_size: Annotated[int, typer.Option(help="Width of the PSF window (pixels, odd).")] = 51
@@ -51,11 +51,11 @@ class SensorOptions:
         return {"diffraction": self.diffraction, "sensor": sensor}
 
 
-@in_panel(_SENSOR)
 @dataclass(frozen=True)
 class LensOptions:
     """Reading of lenses, and the choice of those that are measured."""
 
+    panel: ClassVar[str] = _SENSOR
     scale: Annotated[
         bool, typer.Option("--scale", help="Scale lenses to the sensor; for patents, not for products.")
     ] = False
