@@ -190,7 +190,7 @@ def measure_lenses(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImag
         if remark := window_remark(inside, view.kernel_size):
             warnings.warn(f"rank: {name}: {remark}", stacklevel=4)
         at_nine[name], _ = predictions(subject, lens, view, (PAPER,), name, rays)
-    for sentence in between_fields.warnings(correct, at_nine, "the paper's nine fields"):
+    for sentence in between_fields.warnings(correct, at_nine):
         warnings.warn(f"rank: {sentence}", stacklevel=4)
     table = report.rank_lenses(correct, at_nine)
     figures, drawings = [], {}

@@ -9,7 +9,9 @@ from tasklens.show.bootstrap import interval, resampled_means
 
 
 def warnings(
-    between: Mapping[str, pandas.DataFrame], at_fields: Mapping[str, pandas.DataFrame], fields: str
+    between: Mapping[str, pandas.DataFrame],
+    at_fields: Mapping[str, pandas.DataFrame],
+    fields: str = "the paper's nine fields",
 ) -> list[str]:
     """Return a sentence for each lens that is more accurate at some fields than between them.
 

@@ -74,7 +74,7 @@ def make(
     answer = lens_ranks.sentences(by_title)
     answer += [text for text in [sieve(table, facts.mtf, settings.sieved)] if text is not None]
     between, at_nine_by_title = ({titles[lens]: part[lens] for lens in titles} for part in (correct, at_nine))
-    answer += between_fields.warnings(between, at_nine_by_title, "the paper's nine fields")
+    answer += between_fields.warnings(between, at_nine_by_title)
     left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
     note += _ZERO_SHOT if "zero_shot_accuracy" in table else ""
     below = "\n\n".join([*answer, note, *(["Not measured:\n\n" + "\n".join(left_out)] if left_out else [])])
