@@ -11,11 +11,11 @@ import yaml
 from examples import cooke_triplet, f64, make_lens
 
 import tasklens
-from tasklens.api.lenses import describe
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.spots import chief_rays
 from tasklens.optics.io import lens_files, prescription, zemax
 from tasklens.optics.io.prescription import Prescription
+from tasklens.optics.io.spec_section import spec_of
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
@@ -154,7 +154,8 @@ def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     view = View(f64([[0.0, 0.0], [0.0, 2.0]]), 50.0, (0.6563, 0.5876, 0.4861), 5.0, 51, 1 / 300)
     near = refocus(cooke_triplet(), view)
     lens_data = prescription.with_system_data(Prescription(near, object_distance_mm=300.0), view)
-    lens_files.write(tmp_path / name, lens_data, describe(near, view, rays=64))
+    content = {"spec": spec_of(view), "figures": tasklens.analyse(near, view, rays=64)}
+    lens_files.write(tmp_path / name, lens_data, content)
     assert torch.equal(lens_files.read(tmp_path / name).lens.thickness, near.thickness)
     with pytest.warns(UserWarning, match="object at 300 mm in the file: refocused for infinity"):
         far, _ = tasklens.load_lens(tmp_path / name, object_distance_mm=numpy.float32(math.inf))

@@ -135,7 +135,7 @@ MISTAKES = [
     (("show", PHONE, "--wavelengths", "0.5,red"), "wavelengths_um: expected a number, found 'red'"),
     (("show", DOUBLET, "--configuration", "2"), "expected a configuration 1 .. 1, got 2 (--configuration)"),
     (("simulate", DOUBLET, "small.png", *OUT), "an image of 30 x 20 pixels is too small for PSFs of 51 pixels: ta"),
-    (("simulate", DOUBLET, "image.png", *OUT, "--field", "9,9"), "--field 9,9: outside the field, which ends 2.0"),
+    (("simulate", DOUBLET, "image.png", *OUT, "--field", "9,9"), "field (9, 9) mm: outside the field, which ends 2.0"),
     (("simulate", DOUBLET, "image.png", *OUT, "--field", "rim"), "--field rim: expected axis, middle, corner, or"),
 ]
 

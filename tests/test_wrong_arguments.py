@@ -78,6 +78,7 @@ def single(lens):
             r"no light arrives at the field \(1\.7, 1",
         ),
         (lambda lens, view: simulate(lens, view, IMAGE, [(9, 9)]), r"\(9, 9\) mm: outside the field, which ends 2"),
+        (lambda lens, view: simulate(lens, view, IMAGE, [(0, torch.nan)]), r"\(0, nan\) mm: outside the field"),
         (lambda lens, view: trace(lens, view, 1.5), "rays: expected a whole number from 1, got 1.5"),
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, wavelengths_um=0.55), "wavelengths_um: expected a list"),
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, wavelengths_um=()), "wavelengths_um: expected at least one"),

@@ -154,7 +154,7 @@ def _on_sensor(fields: Sequence[tuple[float, float]], view: View) -> Tensor:
             "fields: expected at least one point (x, y) [mm], such as [(1.7, 1.0)], or None for those of the view"
         )
     largest = float(view.radii.max())
-    for x, y in points[points.norm(dim=-1) > largest * (1 + 1e-3)].tolist():
+    for x, y in points[~(points.norm(dim=-1) <= largest * (1 + 1e-3))].tolist():  # also one that is not a number
         raise InputError(f"field ({x:g}, {y:g}) mm: outside the field, which ends {largest:.3f} mm from the axis")
     return points
 

@@ -196,12 +196,7 @@ def save_lens(path: str | Path, lens: Lens, view: View, notes: Mapping[str, Any]
     if needs_catalogue and catalogue.is_file() and not is_ours(catalogue):
         raise InputError(f"{catalogue}: already exists, and is not ours; choose another name for the lens")
     prescription = with_system_data(Prescription(lens.detached()), view)
-    lens_files.write(path, prescription, notes or describe(lens, view))
-
-
-def describe(lens: Lens, view: View, rays: int = 4096) -> dict[str, Any]:
-    """Return the specification and the figures of a lens, in the format of a lens.yaml."""
-    return {"spec": spec_of(view), "figures": figures(lens, view, rays)}
+    lens_files.write(path, prescription, notes or {"spec": spec_of(view), "figures": figures(lens, view, rays=4096)})
 
 
 @torch.compiler.disable
