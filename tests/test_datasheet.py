@@ -12,7 +12,6 @@ from tasklens.optics.analysis.datasheet import figures, seidel_by_surface
 from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.shapes import shapes
 from tasklens.optics.analysis.spots import centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
 from tasklens.optics.analysis.tail import tail
 from tasklens.optics.analysis.wavefront import path_differences, rms_wavefront_error
@@ -206,7 +205,7 @@ def asphere(curvature: float, alpha_4: float, semi_diameter: float = 1.0):
 
 def test_shape_of_a_sphere():
     """sin(steepest) = c R; no departure from itself, no inflection; a plane has nothing."""
-    sphere, plane = shapes(asphere(0.4, 0.0))
+    sphere, plane = certificate.shapes(asphere(0.4, 0.0)).itertuples()
     assert (sphere.surface, plane.surface) == (1, 2) and sphere.semi_diameter_mm == 1.0
     assert sphere.steepest_deg == pytest.approx(math.degrees(math.asin(0.4)), abs=1e-9)
     assert sphere.departure_um == pytest.approx(0.0, abs=1e-9) and sphere.inflections == 0
@@ -218,18 +217,18 @@ def test_shape_of_an_asphere():
 
     Against the parabola through the rim: a (r^4 - R^2 r^2), at most a R^4 / 4; sphere and parabola differ by c^3.
     """
-    shape = shapes(asphere(0.012, -0.004))[0]
+    shape = certificate.shapes(asphere(0.012, -0.004)).iloc[0]
     assert shape.inflections == 1
     assert shape.departure_um == pytest.approx(1e3 * 0.004 / 4, abs=2e-3)
     assert shape.steepest_deg == pytest.approx(math.degrees(math.atan(0.016 - 0.012)), abs=2e-4)
-    assert shapes(asphere(0.012, 0.004))[0].inflections == 0
+    assert certificate.shapes(asphere(0.012, 0.004)).inflections[0] == 0
 
 
 def test_page_says_whether_it_can_be_made():
     """Limits first; then whether errors move the core by less than a pixel: 0.5 um at the tolerance, 0.2 on average."""
     margins, violated = {"max_slope": 0.01, "min_air_gap": 0.02}, {"max_slope": -0.03, "min_air_gap": 0.02}
     calm, lively = {"radius 1": 0.3, "thickness 1": 0.4}, {"radius 1": 3.0, "thickness 1": 4.0}
-    surfaces = shapes(asphere(0.4, 0.0))
+    surfaces = certificate.shapes(asphere(0.4, 0.0))
     page = certificate.manufacturability(margins, surfaces, calm, "precision_moulding", 1.8)
     assert page.startswith("## Manufacturability\n") and "Within precision moulding. All limits are kept" in page
     assert "move them by 0.2 um (RMS over many lenses" in page and "thickness 1 (0.4 um)" in page

@@ -4,8 +4,10 @@ import math
 from collections.abc import Mapping, Sequence
 
 import pandas
+import torch
 
-from tasklens.optics.analysis.shapes import Shape
+from tasklens.optics.aspheres import radial_slope, sag
+from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing.manufacturing_errors import DEVIATION
 from tasklens.show.headings import BY_FIELD
 from tasklens.show.optimality import optimum
@@ -13,6 +15,7 @@ from tasklens.show.publish import right_aligned
 
 UNITS = dict.fromkeys(("max_slope", "efl_tolerance", "distortion"), "") | {"chief_ray_angle": "deg"}  # else mm
 _SENSITIVE = 3  # number of most sensitive parts on the page
+_HEIGHTS = torch.linspace(0, 1, 401, dtype=torch.float64)  # fractions of the semi-diameter
 _SEIDEL = {
     "spherical": "S_I",
     "coma": "S_II",
@@ -109,14 +112,50 @@ def _margins(margins: Mapping[str, float]) -> pandas.DataFrame:
     return pandas.DataFrame(rows, columns=["limit", "margin"])
 
 
+def shapes(lens: Lens) -> pandas.DataFrame:
+    """Compute the shape of every refracting surface within its clear aperture, which must be finite.
+
+    Returns:
+        A row per surface: `surface`, its index; `semi_diameter_mm`, the radius of the clear aperture; `steepest_deg`,
+        the largest angle between the surface and its vertex plane; `departure_um`, the largest distance along z from
+        the sphere through vertex and rim; `inflections`, the number of heights at which the second derivative of the
+        sag changes its sign.
+    """
+    return pandas.DataFrame([_shape(lens.detached(), i) for i in lens.refracting_surfaces])
+
+
+def _shape(lens: Lens, i: int) -> dict[str, float]:
+    semi_diameter = float(lens.semi_diameter[i])
+    height = semi_diameter * _HEIGHTS
+    surface = lens.curvature[i], lens.conic[i], lens.alpha[i]
+    z, slope = sag(height**2, *surface)[0], radial_slope(height, *surface)
+    rim = z[-1]
+    # z^2 - 2 z / c + r^2 = 0 on a sphere; this c is of the sphere through the rim
+    curvature = 2 * rim / (rim**2 + semi_diameter**2)
+    sphere = sag(height**2, curvature, torch.zeros_like(curvature), lens.alpha[i, :0])[0]
+    bending = torch.sign(slope.diff())
+    bending = bending[bending != 0]
+    return {
+        "surface": i,
+        "semi_diameter_mm": semi_diameter,
+        "steepest_deg": float(torch.rad2deg(torch.atan(slope.abs().max()))),
+        "departure_um": 1e3 * float((z - sphere).abs().max()),
+        "inflections": int((bending[1:] != bending[:-1]).sum()),
+    }
+
+
 def manufacturability(
-    margins: Mapping[str, float], shapes: Sequence[Shape], errors_um: Mapping[str, float], grade: str, pixel_um: float
+    margins: Mapping[str, float],
+    surfaces: pandas.DataFrame,
+    errors_um: Mapping[str, float],
+    grade: str,
+    pixel_um: float,
 ) -> str:
     """Return the section on manufacturability as Markdown: a verdict in words, and its tables.
 
     Args:
         margins: margin of each limit [mm; degrees; slopes and fractions without unit], negative if it is violated.
-        shapes: shapes of the surfaces.
+        surfaces: their `shapes`.
         errors_um: displacement of the core's rays by each error, at the size of its tolerance [um].
         grade: name of the tolerance grade.
         pixel_um: pixel pitch [um].
@@ -124,18 +163,14 @@ def manufacturability(
     words = grade.replace("_", " ")
     moved_um = DEVIATION * math.hypot(*errors_um.values())
     worst = sorted(errors_um, key=lambda part: errors_um[part], reverse=True)[:_SENSITIVE]
-    surfaces = pandas.DataFrame(
-        [
-            (
-                shape.surface,
-                f"{shape.semi_diameter_mm:.3f}",
-                f"{shape.steepest_deg:.1f}",
-                f"{shape.departure_um:.1f}",
-                shape.inflections,
-            )
-            for shape in shapes
-        ],
-        columns=["surface", "semi-diameter [mm]", "steepest [deg]", "departure from sphere [um]", "inflections"],
+    table = pandas.DataFrame(
+        {
+            "surface": surfaces["surface"],
+            "semi-diameter [mm]": surfaces["semi_diameter_mm"].map("{:.3f}".format),
+            "steepest [deg]": surfaces["steepest_deg"].map("{:.1f}".format),
+            "departure from sphere [um]": surfaces["departure_um"].map("{:.1f}".format),
+            "inflections": surfaces["inflections"],
+        }
     )
     sensitive = ", ".join(f"{part} ({errors_um[part]:.1f} um)" for part in worst)
     tolerances = (
@@ -147,7 +182,7 @@ def manufacturability(
         "## Manufacturability",
         limits_verdict(margins, moved_um, words, pixel_um),
         tolerances,
-        right_aligned(surfaces),
+        right_aligned(table),
     ]
     return "\n\n".join(parts) + "\n"
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 
 from tasklens.optics.analysis.datasheet import seidel_by_surface
-from tasklens.optics.analysis.shapes import shapes
 from tasklens.optics.io import prescription
 from tasklens.optics.io import zemax as zemax_files
 from tasklens.optics.io.spec_section import view_of
@@ -40,7 +39,7 @@ def run(
     displacements_um = displacements(design, view, tolerances, _RAYS).tolist()
     errors_um = {error.name: um for error, um in zip(tolerances, displacements_um, strict=True)}
     limits = certificate.manufacturability(
-        content["margins"], shapes(design), errors_um, settings.grade.name, view.pixel_pitch_um
+        content["margins"], certificate.shapes(design), errors_um, settings.grade.name, view.pixel_pitch_um
     )
     write_text(page, f"{text}\n{limits}")
     zemax_files.write(
