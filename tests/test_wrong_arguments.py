@@ -86,7 +86,7 @@ def single(lens):
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, pixel_pitch_um=-1), "pixel_pitch_um = -1: expected greater"),
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, kernel_size=50), "kernel_size = 50: expected an odd number"),
         (lambda lens, view: tasklens.lens(COOKE, 40, 5, object_distance_mm=0), "object distance 0"),
-        (lambda lens, view: tasklens.lens(COOKE, 40, 0), "f_number: expected a positive number, found 0"),
+        (lambda lens, view: tasklens.lens(COOKE, 40, 0), "f_number = 0: expected greater than or equal to 0.5"),
         (lambda lens, view: tasklens.lens(COOKE, 200, 5), "field_of_view_deg = 200: expected less than 150"),
         (lambda lens, view: load_lens(LENS, object_distance_mm="500"), "object_distance_mm: expected a number"),
         (lambda lens, view: Camera(lens, view, free={"curvature": 1}), "free: expected surfaces by variable"),

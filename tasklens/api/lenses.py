@@ -2,7 +2,7 @@
 
 import math
 import warnings
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,9 +17,9 @@ from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import evaluation_psf, light_remarks, trace_fields
+from tasklens.optics.analysis.spots import evaluation_psf, trace_fields
 from tasklens.optics.io import lens_files
-from tasklens.optics.io.lens_specs import check_distance, derive_specification
+from tasklens.optics.io.lens_specs import check_distance, with_specification
 from tasklens.optics.io.prescription import Prescription, with_system_data
 from tasklens.optics.io.spec_section import spec_of
 from tasklens.optics.io.typed import prescription_of
@@ -29,7 +29,7 @@ from tasklens.optics.psf import energy_inside, window_remark
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import as_path, as_paths, positive
+from tasklens.runtime.files import as_path, as_paths
 from tasklens.runtime.tensors import as_tensor, explain_errors
 from tasklens.settings.specification import Spec
 from tasklens.show.figures import figure_of
@@ -134,20 +134,23 @@ def lens(
         ... )
     """
     check_distance(object_distance_mm)
-    if not isinstance(wavelengths_um, Iterable):
-        raise InputError(f"wavelengths_um: expected a list, got {wavelengths_um!r}")
-    colours = tuple(positive(value, "wavelengths_um") for value in wavelengths_um)
-    if not colours:
-        raise InputError("wavelengths_um: expected at least one wavelength [um]")
-    library = Library([*as_paths(catalogues, "catalogues"), *user_files()])
-    prescription = prescription_of(surfaces, f_number, library, colours[len(colours) // 2])
-    prescription = replace(prescription, object_distance_mm=float(object_distance_mm))
-    changes = {"field_of_view_deg": field_of_view_deg, "pixel_pitch_um": pixel_pitch_um, "kernel_size": kernel_size}
-    file = derive_specification(prescription, changes, colours, 1 / object_distance_mm)
+    prescription = prescription_of(surfaces, Library([*as_paths(catalogues, "catalogues"), *user_files()]))
+    if f_number is not None and "semi_diameter" in surfaces[stop := prescription.lens.stop]:
+        raise InputError(f"surface {stop}: expected either the `semi_diameter` of the stop or an F-number, not both")
+    file = with_specification(
+        replace(prescription, object_distance_mm=float(object_distance_mm)),
+        content={},
+        name="",
+        wavelengths_um=wavelengths_um,
+        field_of_view_deg=field_of_view_deg,
+        f_number=f_number,
+        pixel_pitch_um=Spec().pixel_pitch_um if pixel_pitch_um is None else pixel_pitch_um,
+        kernel_size=Spec().kernel_size if kernel_size is None else kernel_size,
+    )
     if "thickness" not in surfaces[-1]:
         check_focal_length(file.lens, file.view.reference_um, "the last thickness is missing, and a focus needs")
         file = replace(file, lens=refocus(file.lens, file.view))
-    for remark in light_remarks(file.lens, file.view):
+    for remark in file.remarks:
         warnings.warn(remark, stacklevel=2)
     return file.lens, file.view
 

@@ -90,7 +90,7 @@ def with_specification(
     Args:
         source: prescription of the lens.
         content: other content of its file.
-        name: of the lens in messages.
+        name: of the lens in messages; empty for a lens without a file.
         object_distance_mm: distance of the object in front of the first vertex [mm], or infinity; None: as in `source`.
         wavelengths_um: wavelengths that replace those of the lens; the middle one is the reference [um].
         focus: place of the image plane: "file", as it is; "mtf" or "spot", where these are best; or the shift [um] away
@@ -99,7 +99,7 @@ def with_specification(
 
     Raises:
         InputError: an object distance that is not positive.
-        FileError: the lens has no field, the object is in the lens, or a change is invalid.
+        FileError: the lens has no field, the object is in the lens, or a change is invalid; without a name, InputError.
     """
     if object_distance_mm is not None:
         check_distance(object_distance_mm)
@@ -110,40 +110,38 @@ def with_specification(
         raise InputError("wavelengths_um: expected at least one, got none")
     try:
         wavelengths = tuple(positive(value, "wavelengths_um") for value in colours)
-        changes = _validate(
-            {
-                "field_of_view_deg": field_of_view_deg,
-                "f_number": f_number,
-                "pixel_pitch_um": pixel_pitch_um,
-                "kernel_size": kernel_size,
-            }
-        )
+        requested = {
+            "field_of_view_deg": field_of_view_deg,
+            "f_number": f_number,
+            "pixel_pitch_um": pixel_pitch_um,
+            "kernel_size": kernel_size,
+        }
+        given = {key: value for key, value in requested.items() if value is not None}
+        changes = validate(Spec, given).model_dump(include=set(given))
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
         if changes or wavelengths or object_distance_mm is not None or focus is not None:
             content = without_figures(content)
         if "spec" in content:
-            lens_file = _specify(source, content, changes, wavelengths, 1 / distance, name, focus)
+            view, own, remarks = view_of(source.lens, content, name), None, []
+            check_copies(source, content["spec"], view, name)
+            view = replace(view, wavelengths_um=wavelengths or view.wavelengths_um)
         else:
-            check_stop(source.lens)
-            lens_file = derive_specification(source, changes, wavelengths, 1 / distance, focus)
-        remarks = (*source.remarks, *lens_file.remarks, *light_remarks(lens_file.lens, lens_file.view))
-        return replace(lens_file, remarks=remarks)
-    except FileError:
-        raise
+            content = {}
+            view, own, remarks = _derived_view(source, wavelengths, changes)
+        source.lens.refractive_indices(view.wavelengths_um)
+        lens, view = _change(source.lens, replace(view, object_vergence=1 / distance), changes)
+        lens, moved = _place_image_plane(lens, view, source.object_distance_mm, focus)
+        remarks = [*source.remarks, *remarks, *moved, *light_remarks(lens, view)]
+        return LensFile(source, lens, view, content, tuple(remarks), own)
     except InputError as error:
+        if isinstance(error, FileError) or not name:
+            raise
         raise FileError(f"{name}: {error}") from None
 
 
 def without_figures(content: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of a lens file without what was computed for its own specification."""
     return {key: value for key, value in content.items() if key not in COMPUTED}
-
-
-def _validate(changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of `Spec` that are not None, converted to numbers; raises InputError."""
-    changes = {key: value for key, value in changes.items() if value is not None}
-    spec = validate(Spec, changes)
-    return {key: getattr(spec, key) for key in changes}
 
 
 def check_distance(distance: Any) -> None:
@@ -156,25 +154,6 @@ def check_distance(distance: Any) -> None:
             f"object distance {distance:g} (--object-distance, in Python object_distance_mm): expected millimetres in "
             "front of the first vertex, such as 500, or inf"
         )
-
-
-def _specify(
-    source: Prescription,
-    content: Mapping[str, Any],
-    changes: dict,
-    wavelengths: tuple[float, ...],
-    vergence: float,
-    name: str,
-    focus: str | float | None,
-) -> LensFile:
-    """Return a lens with the changed specification of its file."""
-    lens, view = source.lens, view_of(source.lens, content, name)
-    check_copies(source, content["spec"], view, name)
-    wavelengths = wavelengths or view.wavelengths_um
-    lens.refractive_indices(wavelengths)
-    lens, view = _change(lens, replace(view, wavelengths_um=wavelengths, object_vergence=vergence), changes)
-    lens, remarks = _place_image_plane(lens, view, source.object_distance_mm, focus)
-    return LensFile(source, lens, view, content, tuple(remarks))
 
 
 def _change(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, View]:
@@ -190,30 +169,27 @@ def _change(lens: Lens, view: View, changes: Mapping[str, Any]) -> tuple[Lens, V
     )
     if "f_number" in changes:
         lens = lens.with_stop_radius(stop_radius(lens, ("f_number", changes["f_number"]), view.reference_um))
+    check_stop(lens)
     check_speed(lens, view)
     return lens, view
 
 
-def derive_specification(
-    source: Prescription,
-    changes: dict,
-    wavelengths: tuple[float, ...],
-    vergence: float,
-    focus: str | float | None = None,
-) -> LensFile:
-    """Derive the specification of a lens without one from its prescription.
+def _derived_view(
+    source: Prescription, wavelengths: tuple[float, ...], changes: Mapping[str, Any]
+) -> tuple[View, Tensor | None, list[str]]:
+    """Derive the view of a lens without a specification from its prescription.
 
     Args:
-        source: the prescription.
-        changes: values of `Spec` that differ from it.
         wavelengths: wavelengths that replace those of the prescription; may be empty.
-        vergence: 1 / distance of the object [1/mm].
-        focus: as in `with_specification`.
+        changes: values of `Spec` that differ from it.
+
+    Returns:
+        The view, `LensFile.fields`, and remarks.
 
     Raises:
-        InputError: a value of `changes` is invalid, or the lens has no field, or an F-number without a focal length.
+        InputError: the lens has no field, or a medium has no index at the reference wavelength.
     """
-    changes, remarks = _validate(changes), []
+    remarks = []
     if not wavelengths and source.wavelengths_um:
         wavelengths = _with_reference(source.wavelengths_um, source.primary or 0)
     elif not wavelengths:
@@ -226,8 +202,7 @@ def derive_specification(
         efl = efl if 0 < efl < math.inf else _AFOCAL
         reason = f"focal length {float(first_order.efl):.4g} mm: not positive, so the lens is only shown and traced"
         remarks.append(f"{reason}; its fields are {efl:.4g} mm tan(theta)")
-    source.lens.refractive_indices(wavelengths)
-    view = replace(view_of_spec(Spec()), efl=efl, wavelengths_um=wavelengths, object_vergence=vergence)
+    view = replace(view_of_spec(Spec(**changes)), efl=efl, wavelengths_um=wavelengths)
     own = None
     if "field_of_view_deg" not in changes:
         own = efl * field_tangents(source, efl, float(first_order.entrance_pupil_z), reference)
@@ -236,12 +211,10 @@ def derive_specification(
         if not corner:
             view = replace(view, fields=torch.zeros(1, 2, dtype=torch.float64))
             remarks.append("the file has no field except the axis (--field-of-view)")
-    lens, view = _change(source.lens, view, changes)
     if not {"pixel_pitch_um", "kernel_size"} <= set(changes):
         pixels = f"{view.pixel_pitch_um} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
-    lens, focus_remarks = _place_image_plane(lens, view, source.object_distance_mm, focus)
-    return LensFile(source, lens, view, {}, (*remarks, *focus_remarks), own)
+    return view, own, remarks
 
 
 def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, ...]:

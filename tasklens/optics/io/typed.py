@@ -9,7 +9,6 @@ import torch
 from tasklens.materials.library import Library
 from tasklens.materials.material import AIR, Material, model_glass
 from tasklens.optics.io.prescription import ORDERS, Prescription, check_order
-from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import positive
@@ -17,9 +16,7 @@ from tasklens.runtime.files import positive
 _KEYS = ("radius", "curvature", "thickness", "material", "conic", "semi_diameter", "stop")
 
 
-def prescription_of(
-    surfaces: Sequence[Mapping[str, Any]], f_number: float | None, library: Library, wavelength: float
-) -> Prescription:
+def prescription_of(surfaces: Sequence[Mapping[str, Any]], library: Library) -> Prescription:
     """Return the prescription of a lens from its surfaces.
 
     Args:
@@ -27,9 +24,7 @@ def prescription_of(
             `Material`, or nd and Vd; air if absent), `conic`, coefficients `alpha_2`, `alpha_4` .. of r^2, r^4 ..
             [mm^(1 - 2j)], `semi_diameter` of its clear aperture; `stop` at one surface. Lengths in mm. The last
             thickness is 0 if absent.
-        f_number: focal length / diameter of the entrance pupil; None: the semi-diameter of the stop is its radius.
         library: glasses by name.
-        wavelength: wavelength of the F-number [um].
 
     Raises:
         InputError: an unknown or missing key, a value that is not a number, or not exactly one stop; names the surface.
@@ -56,14 +51,7 @@ def prescription_of(
         stop=stops[0],
     )
     check_order(lens.media, lens.thickness.tolist(), "a lens", first=0)
-    if f_number is None:
-        return Prescription(lens)
-    if "semi_diameter" in surfaces[lens.stop]:
-        raise InputError(
-            f"surface {lens.stop}: expected either the `semi_diameter` of the stop or an F-number, not both"
-        )
-    aperture = ("f_number", positive(f_number, "f_number"))
-    return Prescription(lens.with_stop_radius(stop_radius(lens, aperture, wavelength)), aperture=aperture)
+    return Prescription(lens)
 
 
 def _row(surface: Mapping[str, Any], index: int, last: bool) -> dict[str, Any]:
