@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-import numpy
 import pandas
 
 from tasklens.optics.tolerancing.allocation import YIELD
-from tasklens.optics.tolerancing.yields import KEPT_MTF, Tolerances
+from tasklens.optics.tolerancing.yields import KEPT_MTF
 
 _GROWTH = (1.1, 1.25, 1.5, 2.0)  # largest ratios of the mean RMS spot to the design's with which a lens passes
 _KEPT = (0.95, 0.9, 0.8, 0.6)  # smallest ratios of the mean MTF to the design's with which a lens passes
@@ -24,40 +23,27 @@ _QUALITIES = {
 }
 
 
-def summary(tolerances: Tolerances, grade: str, frequency: float) -> dict[str, Any]:
+def summary(tolerances: Mapping[str, Any], grade: str, frequency: float) -> dict[str, Any]:
     """Return the figures of the design and built lenses, yields [%], errors by displacement, allotted tolerances.
 
     Args:
-        tolerances: measurements of the design and of built lenses.
+        tolerances: measurements of the design and of built lenses, from `yields.tolerances`.
         grade: name of the grade.
         frequency: frequency of the MTF [cycles/mm].
     """
-    built = {name: numpy.array([getattr(lens, name) for lens in tolerances.built]) for name in _QUALITIES}
-    design, spots = tolerances.design, built["rms_spot_um"]
-    order = tolerances.moved_um.argsort(descending=True).tolist()
-    allotted = tolerances.allotted
+    design, built = tolerances["design"], pandas.DataFrame(tolerances["built"])
+    spots, mtf = built["rms_spot_um"], built[_MTF]
     return {
         "grade": grade,
-        "lenses": len(tolerances.built),
+        "lenses": len(built),
         "frequency_per_mm": frequency,
-        "peak_um": tolerances.peak_um,
-        "design": {name: getattr(design, name) for name in _QUALITIES},
-        "median": {name: float(numpy.median(values)) for name, values in built.items()},
-        "at_95_percent_yield": {
-            name: float(numpy.quantile(values, 0.05 if name == _MTF else 0.95)) for name, values in built.items()
-        },
-        "yield_by_rms_percent": {factor: _share(spots <= factor * design.rms_spot_um) for factor in _GROWTH},
-        "yield_by_mtf_percent": {share: _share(built[_MTF] >= share * design.mtf_quarter_nyquist) for share in _KEPT},
-        "errors": [
-            {
-                "error": tolerances.errors[k].name,
-                "tolerance": tolerances.errors[k].tolerance,
-                "unit": tolerances.errors[k].unit,
-                "moved_um": float(tolerances.moved_um[k]),
-                "allotted": None if allotted is None else tolerances.errors[k].tolerance * float(allotted[k]),
-            }
-            for k in order
-        ],
+        "peak_um": tolerances["peak_um"],
+        "design": design,
+        "median": built.median().to_dict(),
+        "at_95_percent_yield": built.quantile(0.95).to_dict() | {_MTF: float(mtf.quantile(0.05))},
+        "yield_by_rms_percent": {factor: _share(spots <= factor * design["rms_spot_um"]) for factor in _GROWTH},
+        "yield_by_mtf_percent": {share: _share(mtf >= share * design[_MTF]) for share in _KEPT},
+        "errors": sorted(tolerances["errors"], key=lambda error: error["moved_um"], reverse=True),
     }
 
 
@@ -78,7 +64,7 @@ def text(name: str, data: Mapping[str, Any]) -> str:
         f"  yield by MTF relative to the design: {by_mtf}",
         "",
     ]
-    frame = pandas.DataFrame(data["errors"][:_SHOWN])
+    frame = pandas.DataFrame(data["errors"][:_SHOWN], columns=["error", "tolerance", "unit", "moved_um", "allotted"])
     frame["tolerance"] = frame["tolerance"].map("{:.4g}".format)
     frame["moved_um"] = frame["moved_um"].map("{:.2f}".format)
     headings = {"moved_um": "ray shift [um]"}
@@ -102,5 +88,5 @@ def _shares(condition: str, yields: Mapping[float, float]) -> str:
     return ", ".join(f"{share:.0f} % {condition.format(bound)}" for bound, share in yields.items())
 
 
-def _share(good: numpy.ndarray) -> float:
+def _share(good: pandas.Series) -> float:
     return 100 * float(good.mean())

@@ -1,6 +1,7 @@
 """Widest tolerances for a drawing: loose for errors with little effect; most lenses must be good."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -56,3 +57,25 @@ def widest(displacements: Tensor, passes: Callable[[Tensor], bool]) -> Tensor | 
     if low == least and not passes(cheapest(displacements, 2**low)):
         return None
     return cheapest(displacements, 2**low)
+
+
+def error_rows(
+    errors: Sequence[Error], allotted: Tensor | None, **columns: Sequence[float | None]
+) -> list[dict[str, Any]]:
+    """Return a row per error: its name, unit and tolerance, `columns`, and the allotted tolerance in the same unit.
+
+    Args:
+        errors: P errors of a lens.
+        allotted: (P,) tolerances for a drawing, as multiples of the grade's; None if there are none.
+        columns: P values each, by name.
+    """
+    return [
+        {
+            "error": error.name,
+            "unit": error.unit,
+            "tolerance": error.tolerance,
+            **{name: values[k] for name, values in columns.items()},
+            "allotted": None if allotted is None else error.tolerance * float(allotted[k]),
+        }
+        for k, error in enumerate(errors)
+    ]

@@ -1,9 +1,8 @@
 """Spots and contrast of built lenses, and the tolerances with which most of them are good."""
 
-from dataclasses import dataclass
+from typing import Any
 
 import torch
-from torch import Tensor
 
 from tasklens.optics.analysis import focus
 from tasklens.optics.analysis.mtf import geometric_mtf
@@ -12,7 +11,7 @@ from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.manufacturing_errors import Error, errors
+from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.optics.view import View
@@ -25,38 +24,7 @@ _RAYS = 512  # per field and colour
 _RIM = 1.02  # clear aperture of a surface without one, divided by the illuminated radius
 
 
-@dataclass(frozen=True)
-class Quality:
-    """Mean and worst RMS spot radius of the fields [um], and their mean MTF at `focus.frequency`."""
-
-    rms_spot_um: float
-    rms_spot_worst_um: float
-    mtf_quarter_nyquist: float
-
-
-@dataclass(frozen=True)
-class Tolerances:
-    """Performance of a lens with manufacturing errors.
-
-    Attributes:
-        design: the lens as designed.
-        built: the lenses as built.
-        errors: P errors of a lens.
-        moved_um: (P,) RMS displacement of rays by each error as large as its tolerance [um].
-        allotted: (P,) widest tolerances, as multiples of the tolerances of the grade, with which a fraction
-            `allocation.YIELD` of the lenses keeps `KEPT_MTF` of the design's MTF; None if the tightest do not suffice.
-        peak_um: distance of the peak of the MTF from the image plane [um], for the design and the built lenses.
-    """
-
-    design: Quality
-    built: list[Quality]
-    errors: list[Error]
-    moved_um: Tensor
-    allotted: Tensor | None
-    peak_um: float
-
-
-def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> Tolerances:
+def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> dict[str, Any]:
     """Simulate lenses with the errors of a grade: focus them, and measure spots and MTF in all quadrants of the image.
 
     Args:
@@ -65,6 +33,13 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
         grade: largest errors.
         count: number of lenses.
         seed: seed of their errors.
+
+    Returns:
+        `design`, the qualities of the lens as designed, and `built`, a row of them per built lens: mean and worst RMS
+        spot radius of the fields, `rms_spot_um` and `rms_spot_worst_um` [um], and their mean MTF at `focus.frequency`,
+        `mtf_quarter_nyquist`. `errors`: `error_rows`, with the widest tolerances with which a fraction
+        `allocation.YIELD` of the lenses keeps `KEPT_MTF` of the design's MTF. `peak_um`: distance of the peak of the
+        MTF from the image plane [um], for the design and the built lenses.
 
     Raises:
         InputError: no light arrives at some field of the design, or its focal length is not positive.
@@ -79,22 +54,31 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> T
     qualities = []
     for k, fractions in enumerate(lenses.draws(count, seed), 1):
         qualities.append(_quality(lenses.build(fractions)[0], view))
-        progress(k, rms_um=qualities[-1].rms_spot_um)
+        progress(k, rms_um=qualities[-1]["rms_spot_um"])
     design = _quality(lens, view)
     draws = lenses.draws(min(count, allocation.TRIED), seed + allocation.SEED)
 
     def is_good(built_lens: Lens) -> bool:
-        return _quality(built_lens, view).mtf_quarter_nyquist >= KEPT_MTF * design.mtf_quarter_nyquist
+        return _quality(built_lens, view)["mtf_quarter_nyquist"] >= KEPT_MTF * design["mtf_quarter_nyquist"]
 
     allotted = allocation.widest(
         allocation.both_axes(error_list, moved_um), lambda scale: lenses.enough_are_good(draws, scale, is_good)
     )
-    return Tolerances(design, qualities, error_list, moved_um, allotted, 1e3 * float(lenses.peak))
+    return {
+        "design": design,
+        "built": qualities,
+        "errors": allocation.error_rows(error_list, allotted, moved_um=moved_um.tolist()),
+        "peak_um": 1e3 * float(lenses.peak),
+    }
 
 
-def _quality(lens: Lens, view: View) -> Quality:
+def _quality(lens: Lens, view: View) -> dict[str, float]:
     view = view.in_all_quadrants()
     rays = trace_fields(lens, view, sobol_disc(_RAYS, seed=0))
     radii = 1e3 * rms_spot_radius(rays, centroid(rays))
     mtf = torch.stack(geometric_mtf(rays, view.directions, [focus.frequency(view)]))
-    return Quality(float(radii.mean()), float(radii.max()), float(mtf.mean()))
+    return {
+        "rms_spot_um": float(radii.mean()),
+        "rms_spot_worst_um": float(radii.max()),
+        "mtf_quarter_nyquist": float(mtf.mean()),
+    }

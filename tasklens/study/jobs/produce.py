@@ -68,20 +68,13 @@ def run(
     factors = production.widest_tolerances(
         model, drawing_displacements, count, settings.seed, minival_images, checkpoint
     )
-    error_rows = [
-        {
-            "error": error.name,
-            "unit": error.unit,
-            "tolerance": error.tolerance,
-            "moved_um": float(displacements_um[k]),
-            "traced_um": float(traced),
-            "accuracy_change": changes.get(k),
-            "allotted": None if factors is None else error.tolerance * float(factors[k]),
-        }
-        for k, (error, traced) in enumerate(
-            zip(model.errors, traced_displacements(nominal, view, model.errors, _RAYS), strict=True)
-        )
-    ]
+    error_rows = allocation.error_rows(
+        model.errors,
+        factors,
+        moved_um=displacements_um.tolist(),
+        traced_um=traced_displacements(nominal, view, model.errors, _RAYS).tolist(),
+        accuracy_change=[changes.get(k) for k in range(len(model.errors))],
+    )
     write_rows(lenses, rows)
     write_rows(error_table, error_rows)
     title = f"{settings.lens}, seed {settings.seed}"
