@@ -15,7 +15,7 @@ from tasklens.optics.analysis.pupil import rim
 from tasklens.optics.analysis.spots import lit_semi_diameters, trace_fields
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription
-from tasklens.optics.tolerancing import allocation, yields
+from tasklens.optics.tolerancing import monte_carlo, yields
 from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.view import View
 from tasklens.settings.tolerance_settings import GRADES, Grade
@@ -84,7 +84,7 @@ def test_yields_by_hand():
         for values in [(2, 3, 0.6), *((2 * (1 + 0.1 * k), 3 + k, 0.6 * (1 - 0.05 * k)) for k in range(20))]
     )
     error_list = errors(cooke_triplet(), grade(thickness_um=1.0))[:3]
-    rows = allocation.error_rows(error_list, None, moved_um=[1.0, 3.0, 2.0])
+    rows = monte_carlo.error_rows(error_list, None, moved_um=[1.0, 3.0, 2.0])
     data = summary({"design": design, "built": built, "errors": rows, "peak_um": 0.0}, "mine", 10.0)
     assert data["yield_by_rms_percent"] == pytest.approx({1.1: 10, 1.25: 15, 1.5: 30, 2.0: 55})
     assert data["yield_by_mtf_percent"] == pytest.approx({0.95: 10, 0.9: 15, 0.8: 25, 0.6: 45})
@@ -97,20 +97,20 @@ def test_yields_by_hand():
 def test_tolerances_are_the_cheapest_for_their_effect():
     """No others with the same mean square displacement have a smaller sum of inverse tolerances."""
     effects = f64([0.2, 1.0, 3.0, 0.7])
-    tolerances = allocation.cheapest(effects, 0.5)
+    tolerances = monte_carlo.cheapest(effects, 0.5)
     generator = torch.Generator().manual_seed(0)
     for _ in range(50):
         other = tolerances * torch.exp(0.3 * torch.randn(4, generator=generator, dtype=torch.float64))
         other = other * ((tolerances * effects).square().sum() / (other * effects).square().sum()).sqrt()
         assert (1 / other).sum() >= (1 / tolerances).sum() - 1e-12
-    assert allocation.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # wider tolerances would gain nothing
+    assert monte_carlo.cheapest(f64([0.0, 1.0]), 1.0).max() <= 4.0  # wider tolerances would gain nothing
 
 
 def test_a_drawing_has_one_tolerance_for_x_and_y():
     all_errors = errors(doublet()[0], grade(element_decentre_um=1.0, thickness_um=1.0))
     names = [error.name for error in all_errors]
     effects = torch.arange(1.0, 1.0 + len(all_errors), dtype=torch.float64)
-    common = dict(zip(names, allocation.both_axes(all_errors, effects).tolist(), strict=True))
+    common = dict(zip(names, monte_carlo.both_axes(all_errors, effects).tolist(), strict=True))
     x, y = (float(effects[names.index(f"element decentre 1 {axis}")]) for axis in "xy")
     assert common["element decentre 1 x"] == common["element decentre 1 y"] == pytest.approx(math.hypot(x, y) / 2**0.5)
     assert common["thickness 3"] == float(effects[names.index("thickness 3")])
@@ -118,14 +118,14 @@ def test_a_drawing_has_one_tolerance_for_x_and_y():
 
 def test_the_widest_tolerances_that_pass():
     effects = f64([0.2, 1.0, 3.0])
-    tolerances = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 1.0)
+    tolerances = monte_carlo.widest(effects, lambda t: float((t * effects).square().sum()) <= 1.0)
     assert 0.6 < float((tolerances * effects).square().sum()) <= 1.0
-    assert allocation.widest(effects, lambda t: False) is None
-    tight = allocation.widest(effects, lambda t: float((t * effects).square().sum()) <= 0.01)
+    assert monte_carlo.widest(effects, lambda t: False) is None
+    tight = monte_carlo.widest(effects, lambda t: float((t * effects).square().sum()) <= 0.01)
     assert 0.006 < float((tight * effects).square().sum()) <= 0.01
     tried = []
-    assert allocation.widest(effects, lambda t: not tried.append(t)) is not None
-    assert len(tried) < allocation.TRIALS
+    assert monte_carlo.widest(effects, lambda t: not tried.append(t)) is not None
+    assert len(tried) < monte_carlo.TRIALS
 
 
 @pytest.mark.slow

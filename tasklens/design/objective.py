@@ -18,7 +18,7 @@ from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields, t
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
 from tasklens.optics.rays import Rays
-from tasklens.optics.tolerancing.manufacturing_errors import errors
+from tasklens.optics.tolerancing.manufacturing_errors import draw, errors
 from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.optics.view import View
 from tasklens.recognition.dataset import ImageDataset
@@ -113,7 +113,7 @@ class Objective:
         view, design = self.problem.view, lens.detached()
         radii = torch.minimum(design.semi_diameter, clear_semi_diameters(design, view))
         lenses = MonteCarlo(lens, view, errors(replace(design, semi_diameter=radii), self.grade))
-        return [lenses.build(fractions)[0] for fractions in lenses.draws(count, seed)]
+        return [lenses.build(fractions)[0] for fractions in draw(lenses.errors, count, seed)]
 
     def trace(self, lens: Lens, view: View, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
         """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""

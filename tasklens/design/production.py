@@ -12,7 +12,8 @@ from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.tolerancing import allocation
+from tasklens.optics.tolerancing import monte_carlo
+from tasklens.optics.tolerancing.manufacturing_errors import draw
 from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.recognition.evaluation import CapturePipeline, classify
 from tasklens.runtime.checkpoints import NO_CHECKPOINT, Checkpoint
@@ -72,7 +73,7 @@ def built_lenses(
     progress = Progress("built lenses", count)
     if not rows:
         rows = [{"lens": "design"} | production.measure(production.lens, images) | {"focus_um": 0.0}]
-    draws = production.draws(count, seed)
+    draws = draw(production.errors, count, seed)
     for k in range(len(rows) - 1, count):
         lens, shift = production.build(draws[k])
         rows.append({"lens": k} | production.measure(lens, images) | {"focus_um": 1e3 * float(shift)})
@@ -132,14 +133,14 @@ def widest_tolerances(
     """
     if not displacements.isfinite().all():
         return None
-    draws = production.draws(count, seed + allocation.SEED)
+    draws = draw(production.errors, count, seed + monte_carlo.SEED)
     threshold = production.accuracy(production.lens, images)[0].mean() - _ALLOWED_POINTS
-    progress = Progress("allocation of tolerances", allocation.TRIALS)
+    progress = Progress("allocation of tolerances", monte_carlo.TRIALS)
     part = checkpoint.part("allocation of tolerances")
     state = part.state if part.result is None else part.result
     # Outcomes of the trials so far: a resumed job repeats the trials in the same order.
     outcomes: list[bool] = [] if state is None else state["passed"]
-    trial = iter(range(1, allocation.TRIALS + 1))
+    trial = iter(range(1, monte_carlo.TRIALS + 1))
 
     def is_good(lens: Lens) -> bool:
         return bool(production.accuracy(lens, images)[0].mean() >= threshold - 1e-9)
@@ -152,6 +153,6 @@ def widest_tolerances(
             part.save(step, passed=outcomes)
         return outcomes[step - 1]
 
-    widest = allocation.widest(displacements, passes)
+    widest = monte_carlo.widest(displacements, passes)
     part.finish(passed=outcomes)
     return widest

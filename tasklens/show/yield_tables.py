@@ -5,7 +5,7 @@ from typing import Any
 
 import pandas
 
-from tasklens.optics.tolerancing.allocation import YIELD
+from tasklens.optics.tolerancing.monte_carlo import YIELD
 from tasklens.optics.tolerancing.yields import KEPT_MTF
 
 _GROWTH = (1.1, 1.25, 1.5, 2.0)  # largest ratios of the mean RMS spot to the design's with which a lens passes

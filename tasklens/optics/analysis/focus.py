@@ -1,4 +1,4 @@
-"""The focus of a lens: the peak of its MTF, the smallest spot, or as requested; and that of a built lens in assembly.
+"""The focus of a lens: the peak of its MTF, or the smallest spot.
 
 Decentres tilt the image surface. In one quadrant a tilt looks like a shift, so all four quadrants are evaluated.
 """
@@ -119,21 +119,6 @@ def through_focus(lens: Lens, view: View, first: float, step: float, count: int)
         moduli.append((phasors.sum((-2, -1)).abs() / passing(rays)).mean())
         phasors = phasors * turn
     return torch.stack(moduli)
-
-
-def focus_built(lens: Lens, view: View, nominal_peak: Tensor) -> tuple[Lens, Tensor]:
-    """Focus a built lens so that its MTF peaks at the same distance from its image plane as the design's.
-
-    Args:
-        lens: the built lens.
-        view: fields, wavelengths and pixels.
-        nominal_peak: distance of the peak of the design from its image plane, as from `peak` [mm].
-
-    Returns:
-        The lens, and the shift of its image plane [mm]; both are differentiable in both lenses.
-    """
-    shift = peak(lens, view) - nominal_peak
-    return move_image_plane(lens, shift), shift
 
 
 def frequency(view: View) -> float:

@@ -10,8 +10,8 @@ from tasklens.optics.analysis.paraxial import check_focal_length
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, lit_semi_diameters, rms_spot_radius, trace_fields
 from tasklens.optics.lens import Lens
-from tasklens.optics.tolerancing import allocation
-from tasklens.optics.tolerancing.manufacturing_errors import errors
+from tasklens.optics.tolerancing import monte_carlo
+from tasklens.optics.tolerancing.manufacturing_errors import draw, errors
 from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.optics.view import View
@@ -38,7 +38,7 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> d
         `design`, the qualities of the lens as designed, and `built`, a row of them per built lens: mean and worst RMS
         spot radius of the fields, `rms_spot_um` and `rms_spot_worst_um` [um], and their mean MTF at `focus.frequency`,
         `mtf_quarter_nyquist`. `errors`: `error_rows`, with the widest tolerances with which a fraction
-        `allocation.YIELD` of the lenses keeps `KEPT_MTF` of the design's MTF. `peak_um`: distance of the peak of the
+        `monte_carlo.YIELD` of the lenses keeps `KEPT_MTF` of the design's MTF. `peak_um`: distance of the peak of the
         MTF from the image plane [um], for the design and the built lenses.
 
     Raises:
@@ -52,22 +52,22 @@ def tolerances(lens: Lens, view: View, grade: Grade, count: int, seed: int) -> d
         raise InputError("no light arrives at some field of the lens: give a smaller --field-of-view")
     lenses, progress = MonteCarlo(lens, view, error_list), Progress("built lenses", count)
     qualities = []
-    for k, fractions in enumerate(lenses.draws(count, seed), 1):
+    for k, fractions in enumerate(draw(error_list, count, seed), 1):
         qualities.append(_quality(lenses.build(fractions)[0], view))
         progress(k, rms_um=qualities[-1]["rms_spot_um"])
     design = _quality(lens, view)
-    draws = lenses.draws(min(count, allocation.TRIED), seed + allocation.SEED)
+    draws = draw(error_list, min(count, monte_carlo.TRIED), seed + monte_carlo.SEED)
 
     def is_good(built_lens: Lens) -> bool:
         return _quality(built_lens, view)["mtf_quarter_nyquist"] >= KEPT_MTF * design["mtf_quarter_nyquist"]
 
-    allotted = allocation.widest(
-        allocation.both_axes(error_list, moved_um), lambda scale: lenses.enough_are_good(draws, scale, is_good)
+    allotted = monte_carlo.widest(
+        monte_carlo.both_axes(error_list, moved_um), lambda scale: lenses.enough_are_good(draws, scale, is_good)
     )
     return {
         "design": design,
         "built": qualities,
-        "errors": allocation.error_rows(error_list, allotted, moved_um=moved_um.tolist()),
+        "errors": monte_carlo.error_rows(error_list, allotted, moved_um=moved_um.tolist()),
         "peak_um": 1e3 * float(lenses.peak),
     }
 

@@ -12,7 +12,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import evaluation_psf
 from tasklens.optics.io import prescription
 from tasklens.optics.lens import Lens
-from tasklens.optics.tolerancing import allocation
+from tasklens.optics.tolerancing import monte_carlo
 from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements, traced_displacements
 from tasklens.optics.view import view_of_spec
@@ -62,13 +62,13 @@ def run(
     rows = production.built_lenses(model, tolerances.lenses, settings.seed, test_images, checkpoint)
     worst = displacements_um.argsort(descending=True)[:_WORST].tolist()
     changes = production.one_at_a_time(model, worst, rows[0]["accuracy"], test_images, checkpoint)
-    count = min(tolerances.lenses, allocation.TRIED)
-    drawing_displacements = allocation.both_axes(model.errors, displacements_um)
+    count = min(tolerances.lenses, monte_carlo.TRIED)
+    drawing_displacements = monte_carlo.both_axes(model.errors, displacements_um)
     minival_images = _images(selection, tolerances.images)
     factors = production.widest_tolerances(
         model, drawing_displacements, count, settings.seed, minival_images, checkpoint
     )
-    error_rows = allocation.error_rows(
+    error_rows = monte_carlo.error_rows(
         model.errors,
         factors,
         moved_um=displacements_um.tolist(),
