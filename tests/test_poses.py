@@ -97,5 +97,5 @@ def test_analyses_in_the_meridian_are_those_of_the_nominal_lens():
     torch.testing.assert_close(relative_illumination(moved, view), relative_illumination(lens, view), rtol=0, atol=0)
     for one, other in zip(field_curvature(moved, view), field_curvature(lens, view), strict=True):
         torch.testing.assert_close(one, other, rtol=0, atol=0)
-    assert torch.equal(ray_fans(moved, view, 5).tangential, ray_fans(lens, view, 5).tangential)
+    assert torch.equal(ray_fans(moved, view, 5)[1], ray_fans(lens, view, 5)[1])
     assert not torch.equal(chief_points(moved, view), chief_points(lens, view))

@@ -40,13 +40,14 @@ _FIELDS, _RAYS = 51, 1024  # from the axis to the corner; rays of each and of ea
 
 def draw_ray_fans(part: SubFigure | Figure, panel: Panel) -> None:
     """Draw the transverse errors of rays across the pupil: along the field (T) and across it (S), in its meridian."""
-    fans, half_um = ray_fans(panel.lens, panel.view, _FANS), panel.shown_um
+    pupil, tangential, sagittal = ray_fans(panel.lens, panel.view, _FANS)
+    half_um = panel.shown_um
     all_axes = part.subplots(1, 2 * len(panel.field_names), sharey=True, squeeze=False)[0]
     for k, (field, name) in enumerate(panel.field_names.items()):
-        for i, (errors, label) in enumerate(((fans.tangential[..., 1], "T"), (fans.sagittal[..., 0], "S"))):
+        for i, (errors, label) in enumerate(((tangential[..., 1], "T"), (sagittal[..., 0], "S"))):
             axes = all_axes[2 * k + i]
             for w, (wavelength, style) in enumerate(zip(panel.view.wavelengths_um, BY_WAVELENGTH, strict=False)):
-                axes.plot(fans.pupil, 1e3 * errors[field, w], lw=1, label=f"{1e3 * wavelength:.0f} nm", **style)
+                axes.plot(pupil, 1e3 * errors[field, w], lw=1, label=f"{1e3 * wavelength:.0f} nm", **style)
             axes.set(xlim=(-1, 1), ylim=(-half_um, half_um), xticks=(-1, 0, 1))
             axes.set_title(f"{name} {label}", fontsize=9)
             axes.tick_params(labelsize=8)

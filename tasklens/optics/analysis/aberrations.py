@@ -4,7 +4,7 @@ Sign conventions: a single positive lens has S_I, S_IV and C_I > 0 (undercorrect
 terms refer to the paraxial image plane and to the largest field of the view, rotated onto +y.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -16,30 +16,7 @@ from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 
 
-@dataclass(frozen=True)
-class SeidelSums:
-    """Contributions (S,) of the surfaces to the wavefront aberration at the edge of pupil and field [mm].
-
-    W(px, py) = S_I p^4 / 8 + S_II p^2 py / 2 + S_III py^2 / 2 + (S_III + S_IV) p^2 / 4 + S_V py / 2,  p^2 = px^2 + py^2
-
-    The wavefront at the shortest wavelength minus that at the longest is C_I p^2 / 2 + C_II py. A ray misses its
-    paraxial image point by (dW / dpx, dW / dpy) / (n' u'), n' u' the last reduced angle of the marginal ray.
-
-    Attributes:
-        spherical, coma, astigmatism, petzval, distortion: S_I .. S_V.
-        axial_colour, lateral_colour: C_I, C_II.
-    """
-
-    spherical: Tensor
-    coma: Tensor
-    astigmatism: Tensor
-    petzval: Tensor
-    distortion: Tensor
-    axial_colour: Tensor
-    lateral_colour: Tensor
-
-
-def seidel_sums(lens: Lens, view: View) -> SeidelSums:
+def seidel_sums(lens: Lens, view: View) -> dict[str, Tensor]:
     """Compute the Seidel sums at the middle wavelength, and the colour between the shortest and the longest.
 
     With the marginal ray (y, u), the chief ray (yb, ub), A = n (c y + u), B = n (c yb + ub), H = B y - A yb, D() the
@@ -51,6 +28,17 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
 
     a = D(n) (8 alpha_4 + (1 + k) curvature^3 - c^3) is 8 D(n) times the r^4 term of the surface minus that of the
     sphere that osculates its vertex. With alpha_2 the curvature of this sphere is not `curvature`.
+
+    The wavefront aberration at the edge of the field is, with p^2 = px^2 + py^2, 1 at the edge of the pupil,
+
+        W(px, py) = S_I p^4 / 8 + S_II p^2 py / 2 + S_III py^2 / 2 + (S_III + S_IV) p^2 / 4 + S_V py / 2
+
+    The wavefront at the shortest wavelength minus that at the longest is C_I p^2 / 2 + C_II py. A ray misses its
+    paraxial image point by (dW / dpx, dW / dpy) / (n' u'), n' u' the last reduced angle of the marginal ray.
+
+    Returns:
+        The contributions (S,) of the surfaces [mm]: `spherical`, `coma`, `astigmatism`, `petzval`, `distortion` are
+        S_I .. S_V; `axial_colour`, `lateral_colour` are C_I, C_II.
 
     Source: Welford, Aberrations of Optical Systems (1986), chapters 8 and 10.
     """
@@ -72,15 +60,15 @@ def seidel_sums(lens: Lens, view: View) -> SeidelSums:
     petzval, square = (1 / n).diff(), (1 / n**2).diff()
     fourth = lens.alpha[:, 1] if lens.alpha.shape[1] > 1 else torch.zeros_like(c)
     aspheric = n.diff() * (8 * fourth + (1 + lens.conic) * lens.curvature**3 - c**3)
-    return SeidelSums(
-        spherical=-(a**2) * y * bend + aspheric * y**4,
-        coma=-a * b * y * bend + aspheric * y**3 * yb,
-        astigmatism=-(b**2) * y * bend + aspheric * y**2 * yb**2,
-        petzval=-(invariant**2) * c * petzval,
-        distortion=-b * (b**2 * y * square - (invariant + b * y) * yb * c * petzval) + aspheric * y * yb**3,
-        axial_colour=a * y * dispersion.diff(),
-        lateral_colour=b * y * dispersion.diff(),
-    )
+    return {
+        "spherical": -(a**2) * y * bend + aspheric * y**4,
+        "coma": -a * b * y * bend + aspheric * y**3 * yb,
+        "astigmatism": -(b**2) * y * bend + aspheric * y**2 * yb**2,
+        "petzval": -(invariant**2) * c * petzval,
+        "distortion": -b * (b**2 * y * square - (invariant + b * y) * yb * c * petzval) + aspheric * y * yb**3,
+        "axial_colour": a * y * dispersion.diff(),
+        "lateral_colour": b * y * dispersion.diff(),
+    }
 
 
 def field_curvature(lens: Lens, view: View) -> tuple[Tensor, Tensor]:

@@ -85,7 +85,7 @@ def _of_the_lens(lens: Lens, view: View) -> dict:
 
 def seidel_by_surface(lens: Lens, view: View) -> dict[str, list[float]]:
     """Compute the contributions of the surfaces to the Seidel sums and to the chromatic aberrations [um]."""
-    return {name: (1e3 * values.detach()).tolist() for name, values in vars(seidel_sums(lens, view)).items()}
+    return {name: (1e3 * values.detach()).tolist() for name, values in seidel_sums(lens, view).items()}
 
 
 def _nyquist(view: View) -> float:

@@ -5,7 +5,7 @@ apertures, as in a PSF (`passing`): vignetted rays are left out, and other lost 
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -140,32 +140,20 @@ def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tens
     return ordered.gather(1, count.clamp(min=1)[:, None] - 1)[:, 0]
 
 
-@dataclass(frozen=True)
-class RayFans:
-    """Transverse ray aberrations of F fields and W wavelengths across the pupil, each field rotated onto +y.
+def ray_fans(lens: Lens, view: View, count: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Compute the transverse ray aberrations of fans of `count` rays; decentres and tilts are ignored.
 
-    Attributes:
-        pupil: (N,) pupil coordinates, -1 to 1.
-        tangential: (F, W, N, 2) errors (ex, ey) [mm] of the rays through (0, p), along the field.
-        sagittal: (F, W, N, 2) errors (ex, ey) [mm] of the rays through (p, 0), across it.
-    """
-
-    pupil: Tensor
-    tangential: Tensor
-    sagittal: Tensor
-
-
-def ray_fans(lens: Lens, view: View, count: int) -> RayFans:
-    """Compute fans of `count` rays: errors from the chief ray of the middle wavelength; NaN for a lost ray.
-
-    Decentres and tilts are ignored.
+    Returns:
+        (N,) pupil coordinates p, -1 to 1. (F, W, N, 2) errors (ex, ey) [mm] of the tangential rays through (0, p),
+        along the field, and (F, W, N, 2) of the sagittal rays through (p, 0), across it; each field is rotated onto +y.
+        They are relative to the chief ray of the middle wavelength, and NaN for a lost ray.
     """
     lens, turned = replace(lens, pose=None), view.in_meridian()
     pupil = torch.linspace(-1, 1, count, dtype=torch.float64)
     zero = torch.zeros_like(pupil)
     points = torch.cat([torch.stack([zero, pupil], -1), torch.stack([pupil, zero], -1)])
     errors = spot_diagram(trace_fields(lens, turned, points), chief_points(lens, turned))
-    return RayFans(pupil, errors[:, :, :count], errors[:, :, count:])
+    return pupil, errors[:, :, :count], errors[:, :, count:]
 
 
 def clear_semi_diameters(lens: Lens, view: View, pupil: Tensor = OUTLINE) -> Tensor:
