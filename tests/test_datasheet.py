@@ -13,7 +13,6 @@ from tasklens.optics.analysis.mtf import geometric_mtf
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import centroid, chief_points, evaluation_psf, rms_spot_radius, trace_fields
-from tasklens.optics.analysis.tail import tail
 from tasklens.optics.analysis.wavefront import path_differences, rms_wavefront_error
 from tasklens.optics.io import prescription
 from tasklens.optics.io.spec_section import spec_of, view_of
@@ -21,6 +20,7 @@ from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 from tasklens.show import certificate
+from tasklens.study.jobs.psf_tail import tail
 
 RAYS = 512
 

@@ -8,15 +8,15 @@ import pytest
 import torch
 from examples import f64, make_lens, rays_on_image
 
-from tasklens.optics.analysis import tail as tails_of
+from tasklens.optics.analysis import spots
 from tasklens.optics.analysis.datasheet import figures
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import distances
-from tasklens.optics.analysis.tail import RADII_UM, encircled_energy, tail
+from tasklens.optics.analysis.spots import distances, encircled_energy
 from tasklens.optics.rays import RayStatus
 from tasklens.optics.view import view_of_spec
 from tasklens.settings.specification import Spec
-from tasklens.study.jobs.psf_tail import publish_tails
+from tasklens.show.publish import publish
+from tasklens.study.jobs.psf_tail import RADII_UM, summarise, tail
 
 
 def tail_of(monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.MISSED) -> tuple[dict, pandas.DataFrame]:
@@ -24,8 +24,8 @@ def tail_of(monkeypatch, points, valid=None, centre=(0.0, 0.0), lost=RayStatus.M
     x, y = (points + f64(centre)).T / 1e3
     rays = rays_on_image(x[None, None], y[None, None], valid)
     rays = replace(rays, status=rays.status * lost)
-    monkeypatch.setattr(tails_of, "trace_fields", lambda *arguments: rays)
-    monkeypatch.setattr(tails_of, "chief_points", lambda *arguments: f64([centre]) / 1e3)
+    monkeypatch.setattr(spots, "trace_fields", lambda *arguments: rays)
+    monkeypatch.setattr(spots, "chief_points", lambda *arguments: f64([centre]) / 1e3)
     by_field, curve = tail(None, view_of_spec(Spec()), len(points))
     return by_field[0], pandas.DataFrame(curve)
 
@@ -106,11 +106,10 @@ def test_table_means_over_fields_and_seeds(tmp_path):
             key = {"lens": f"singlet-{design}", "seed": seed, "field": field}
             tail_energy = 0.1 if math.isfinite(radius) else math.nan
             rows.append(key | {"core_radius_um": radius, "tail_energy": tail_energy, "rms_chief_ray_um": 8})
-    publish_tails("tiny", rows, tmp_path / "psf_tail.csv", tmp_path / "tail.md")
+    publish(tmp_path / "psf_tail.csv", tmp_path / "tail.md", summarise(rows), "a note")
     table = pandas.read_csv(tmp_path / "psf_tail.csv").set_index("lens")
     a, b = table.loc["singlet-imaging1"], table.loc["singlet-imaging2"]
     assert a["core_radius_um"] == 3 and a["core_radius_um_std"] == pytest.approx(2**0.5)
     assert a["rms_over_core"] == 3 and a["tail_energy"] == pytest.approx(0.1)
     assert math.isinf(b["core_radius_um"]) and math.isnan(b["tail_energy"])
-    text = (tmp_path / "tail.md").read_text()
-    assert "nan" not in text and "Study `tiny`" in text
+    assert "nan" not in (tmp_path / "tail.md").read_text()

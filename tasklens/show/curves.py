@@ -17,11 +17,11 @@ from tasklens.optics.analysis.spots import (
     chief_rays,
     chief_scale,
     distortion,
+    encircled_energy,
     ray_fans,
     rms_spot_radius,
     trace_fields,
 )
-from tasklens.optics.analysis.tail import encircled_energy
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View

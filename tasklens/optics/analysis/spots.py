@@ -1,4 +1,4 @@
-"""Rays on the image plane: chief rays, spots, ray fans, distortion, clear apertures, PSFs and lost light.
+"""Rays on the image plane: chief rays, spots, encircled energy, ray fans, distortion, apertures, PSFs and lost light.
 
 Lost rays are NaN in a spot diagram and left out of an RMS. Energies are fractions of the light that passes the clear
 apertures, as in a PSF (`passing`): vignetted rays are left out, and other lost rays are outside every radius.
@@ -138,6 +138,17 @@ def encircled_energy_radius(rays: Rays, centre: Tensor, fraction: float) -> Tens
     ordered = distances(rays, centre).flatten(1).sort(1).values
     count = torch.ceil(fraction * passing(rays) * (1 - 1e-12)).long()  # 0.1 x 30 is 3.0000000000000004
     return ordered.gather(1, count.clamp(min=1)[:, None] - 1)[:, 0]
+
+
+def encircled_energy(rays: Rays, centre: Tensor, radii: Tensor) -> Tensor:
+    """Compute the fraction (F, R) of the light within `radii` of `centre` (F, 2) [mm].
+
+    Args:
+        radii: (R,) for all fields, or (F, R) [mm].
+    """
+    ordered = distances(rays, centre).flatten(1).sort(1).values
+    limits = radii.expand(len(ordered), -1).contiguous()
+    return torch.searchsorted(ordered, limits, right=True).double() / passing(rays)[:, None]
 
 
 def ray_fans(lens: Lens, view: View, count: int) -> tuple[Tensor, Tensor, Tensor]:
