@@ -21,6 +21,13 @@ torch.set_num_threads(1)
 
 
 @pytest.fixture
+def here(tmp_path, monkeypatch):
+    """The current folder, which is empty."""
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
 def two_threads():
     """Two threads of torch, numpy and scipy during a test."""
     with threadpool_limits(2):

@@ -1,4 +1,4 @@
-"""Damaged files for fuzzing: hypothesis strategies that change the content, the text or the bytes of a good file."""
+"""Damaged files for fuzzing: hypothesis strategies that change the content or the text of a good file."""
 
 import copy
 import math
@@ -131,33 +131,6 @@ def near(value, words: list[str]) -> st.SearchStrategy:
     if isinstance(value, list) and value:
         return st.permutations(value) | st.just([*value, value[0]]) | st.just(value[1:])
     return st.sampled_from(words)
-
-
-def damaged_bytes(content: bytes, inserted: list[bytes]) -> st.SearchStrategy[bytes]:
-    """The bytes with a few of them flipped, cut off, repeated, moved, or others inserted."""
-
-    @st.composite
-    def strategy(draw) -> bytes:
-        data = content
-        for _ in range(draw(st.integers(1, 3))):
-            first, last = sorted(draw(st.tuples(*2 * [st.integers(0, len(data))])))
-            match draw(st.sampled_from(["flip", "flip", "cut", "remove", "repeat", "insert", "insert", "overwrite"])):
-                case "flip" if first < len(data):
-                    data = data[:first] + bytes([data[first] ^ (1 << draw(st.integers(0, 7)))]) + data[first + 1 :]
-                case "cut":
-                    data = data[:first]
-                case "remove":
-                    data = data[:first] + data[last:]
-                case "repeat":
-                    data = data[:last] + data[first:last] + data[last:]
-                case "insert":
-                    data = data[:first] + draw(st.sampled_from(inserted) | st.binary(max_size=8)) + data[first:]
-                case "overwrite":
-                    new = draw(st.sampled_from(inserted) | st.binary(max_size=8))
-                    data = data[:first] + new + data[first + len(new) :]
-        return data
-
-    return strategy()
 
 
 def altered_text(text: str, inserted: list[str]) -> st.SearchStrategy[str]:

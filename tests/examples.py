@@ -1,10 +1,14 @@
 """Lenses, rays, networks and studies that several test files share, and finite differences to check gradients."""
 
 import csv
+import importlib.util
+import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
 
+import timm
 import torch
 from PIL import Image
 from torch import Tensor, nn
@@ -12,18 +16,23 @@ from torch import Tensor, nn
 from tasklens.design import descents
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.materials.material import AIR, Material, model_glass
+from tasklens.optics.io import zemax
+from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, launch
 from tasklens.optics.view import View, view_of_spec
+from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.training import fit
 from tasklens.runtime.checkpoints import NO_CHECKPOINT
+from tasklens.runtime.files import write_tensors
 from tasklens.settings.design_settings import GradientDesignSettings
 from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
 from tasklens.study.report.measurements import Measurements
 
 WAVELENGTHS = (0.6563, 0.5893, 0.4861)  # C, d and F lines [um], the middle one the reference
+HEADLINE = Path(__file__).parents[1] / "docs/results/headline/lenses"  # published lenses
 TASK_TRAINING = {"epochs": 1, "learning_rate": 1e-3, "batch_size": 4}
 SEGMENTATION = {"kind": "segmentation", "model": "lraspp_mobilenet_v3_large"}
 MASKS = {"kind": "instance_segmentation", "backbone": "resnet18", "channels": 8}
@@ -100,6 +109,21 @@ def lens_and_view() -> tuple[Lens, View]:
     return stopped, View(fields, view.efl, view.wavelengths_um, 9.0, 31)
 
 
+def view_at(tangents, distance: float = math.inf, wavelengths=WAVELENGTHS[1:2], along=(0.0, 1.0)) -> View:
+    """Fields by their tangents, (x, y) or along a direction, for a pinhole of 1 mm and objects at a distance [mm]."""
+    tangents = f64(tangents)
+    fields = tangents if tangents.dim() == 2 else tangents[:, None] * f64(along)
+    return View(fields, 1.0, wavelengths, 9.0, 31, 1 / distance)
+
+
+def cooke_file(path: Path, **changes) -> Path:
+    """A Zemax file of the Cooke triplet, with fields on the axis and at 20 degrees."""
+    fields = ("angle_deg", ((0.0, 0.0), (0.0, 20.0)))
+    source = Prescription(cooke_triplet(), fields=fields, wavelengths_um=(0.6563, 0.5876, 0.4861), primary=1)
+    zemax.write(path, replace(source, **changes))
+    return path
+
+
 def random_rays(count: int, seed: int, height: float = 0.4, tangent: float = 0.25) -> Rays:
     """(1, count) rays from the first vertex plane."""
     generator = torch.Generator().manual_seed(seed)
@@ -133,6 +157,18 @@ def difference(function: Callable[[Tensor], Tensor], x: Tensor, step: float) -> 
         columns.append((8 * near - far) / (12 * step))
     stacked = torch.stack(columns, -1)
     return stacked.reshape(*stacked.shape[:-1], *x.shape)
+
+
+def assert_derivative(function: Callable[[Tensor], Tensor], value: Tensor, step: float, seed: int, rtol: float) -> None:
+    """Assert that reverse and forward mode agree with differences along a random change, relative to the largest."""
+    change = torch.randn(value.shape, generator=torch.Generator().manual_seed(seed), dtype=value.dtype)
+    expected = difference(lambda t: function(value + t * change), f64(0.0), step)
+    scale = float(expected.abs().max())
+    assert 0 < scale < math.inf
+    reverse = (torch.autograd.functional.jacobian(function, value) * change).flatten(expected.dim()).sum(-1)
+    forward = torch.func.jvp(function, (value,), (change,))[1]
+    assert_close(reverse, expected, rtol * scale)
+    assert_close(forward, reverse, 1e-9 * scale)
 
 
 def assert_close(actual: Tensor, expected, atol: float) -> None:
@@ -176,6 +212,15 @@ def trained_network(seed: int, **settings) -> nn.Module:
     settings = TrainingSettings(**({"epochs": 4, "learning_rate": 1e-2, "batch_size": 10} | settings))
     fit(network, random_images(60, 16, 3, seed=1), settings, seed, "test")
     return network
+
+
+def trained_resnet(path: Path, images: ImageDataset, **training) -> Path:
+    """The file of weights of a small ResNet after training on images."""
+    torch.manual_seed(0)
+    classifier = Classifier(timm.create_model("test_resnet", num_classes=len(images.classes)))
+    fit(classifier, images, TrainingSettings(**({"learning_rate": 1e-2} | training)), 0, "test")
+    write_tensors(path, classifier.network.state_dict(), {})
+    return path
 
 
 def by_descents(start, criterion, problem, *parts, candidates=None, checkpoint=NO_CHECKPOINT, **design):
@@ -284,6 +329,14 @@ def measurements_of(study: str, contents) -> Measurements:
     )
     frozen_files = {key: frozen[key] for key in getattr(contents, "frozen_keys", [])}
     return Measurements(lenses, metrics, predictions, frozen_files)
+
+
+def load_script(path: Path) -> ModuleType:
+    """A program of tools, examples or docs/results as a module."""
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 def write(path: str | Path, text: str) -> None:

@@ -1,16 +1,16 @@
 """`tasklens lens ...` in tests: lenses of ours and of Zemax for it, its exit status and its output."""
 
 import json
-from pathlib import Path
 
 import pytest
+from examples import HEADLINE
+from reference_files import SHIPPED
 
 from tasklens.cli.app import main
 
-REPOSITORY = Path(__file__).parents[1]
-DOUBLET = REPOSITORY / "docs" / "results" / "headline" / "lenses" / "doublet-imaging2.yaml"
+DOUBLET = HEADLINE / "doublet-imaging2.yaml"
 SAME = DOUBLET.with_suffix(".zmx")
-PHONE = REPOSITORY / "tests" / "data" / "lenses" / "cellphone" / "source" / "US-9897779-B2-e1.zmx"
+PHONE = SHIPPED / "lenses/cellphone/source/US-9897779-B2-e1.zmx"
 FEW = ("--rays", "64")
 
 

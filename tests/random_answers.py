@@ -1,13 +1,11 @@
 """Random answers to the images of a study, right with a probability of each design."""
 
-from collections.abc import Iterable
-
 import numpy
 import pandas
 
-from tasklens.study.claims import Claim
-from tasklens.study.report.measurements import Measurements
-from tasklens.study.table_contents import MeasuredKey
+from tasklens.settings.names import SHARP
+from tasklens.study.claims import Claim, Claims
+from tasklens.study.report.answers_file import PackedMeasurements
 
 PROBABILITY = {  # of a correct answer, in the corner half of it
     "imaging2": 0.5,
@@ -20,24 +18,17 @@ PROBABILITY = {  # of a correct answer, in the corner half of it
 }
 
 
-class RandomAnswers(Measurements):
+def random_answers(claims: Claims) -> PackedMeasurements:
     """Measurements with random answers, right with the probability of the design."""
-
-    def correct(self, lens: str, classifier: str, seed: int, fields: str = "field") -> pandas.DataFrame:
-        generator = numpy.random.default_rng([*lens.encode(), seed])
-        worth = numpy.array([1.0] if lens == "sharp" else [1.0] * 8 + [0.5])
-        answers = generator.random((50, len(worth))) < worth * probability(lens)
-        index = pandas.MultiIndex.from_arrays([range(50), ["07"] * 50], names=["image", "label"])
-        return pandas.DataFrame(answers.astype(int), index=index)
-
-    def has(self, fields: str, keys: Iterable[MeasuredKey]) -> bool:
-        return fields == "field"
-
-    def values(self, lens: str, classifier: str, seed: int) -> dict[str, float]:
-        return {"minival_accuracy": 100 * probability(lens), "chance": 10.0, "psnr_db": 20.0}
-
-    def lens_values(self, lens: str, seed: int) -> dict[str, float]:
-        return {"energy_in_window": 0.3 if "flat" in lens else 0.9, "rms_spot_um": 3.0}
+    index = pandas.MultiIndex.from_arrays([range(50), ["07"] * 50], names=["image", "label"])
+    answers, accuracies = {}, {}
+    for key in claims.measured_keys:
+        worth = numpy.array([1.0] if key.lens == SHARP else [1.0] * 8 + [0.5])
+        luck = numpy.random.default_rng([*key.lens.encode(), key.seed]).random((50, len(worth)))
+        answers[key] = pandas.DataFrame((luck < worth * probability(key.lens)).astype(int), index)
+        accuracies[key] = {"minival_accuracy": 100 * probability(key.lens), "chance": 10.0}
+    energy = {key: 0.3 if "flat" in key.lens else 0.9 for key in claims.lens_keys}
+    return PackedMeasurements({}, {}, answers=answers, accuracies=accuracies, energy=energy)
 
 
 def probability(lens: str) -> float:

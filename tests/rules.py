@@ -19,9 +19,11 @@ from tasklens.runtime import job
 from tasklens.settings import names
 from tasklens.study import claims, table_contents
 from tasklens.study.loading import at_points, parse
+from tasklens.study.run import digest
 from tasklens.study.study import TABLES, Study
 
 ROOT = Path(__file__).parents[1]
+MODULES = sorted(p for package in digest.PACKAGES for p in (ROOT / package).rglob("*.py"))
 _APIS = []  # garbage collection of the API would tear down its workflow
 
 
@@ -61,6 +63,11 @@ class Job:
         """All input files that it waits for."""
         every = [[paths] if isinstance(paths, str) else paths for paths in self.inputs.values()]
         return [Path(path) for paths in every for path in paths]
+
+
+def name_of(path: Path) -> str:
+    """The name of a module of our packages."""
+    return ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
 
 
 def rule_names() -> list[str]:
@@ -133,6 +140,11 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
             for wildcards in wildcards_of(name, study):
                 key = (name, *(value for wildcard, value in wildcards.items() if wildcard != "seed"))
                 yield key, job_of(name, study, **wildcards)
+
+
+def reached(before: dict, after: dict) -> set[tuple]:
+    """The jobs with other settings in the slices of another study."""
+    return {job for job in before if before[job] != after[job]}
 
 
 def slices(mapping: dict) -> dict[tuple, list[str]]:

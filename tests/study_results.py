@@ -21,6 +21,24 @@ def study_of(seeds: int, **elements) -> Study:
     return parse(changed(study, "seeds", list(range(seeds))))
 
 
+def write_measurement(study: str, lens: str, name: str, seed: int, metrics: dict, **by_image) -> None:
+    """Write the files of a measurement.
+
+    Args:
+        metrics: values by name: one for each field, or a single number.
+        by_image: values (N, F) of the images at each field, by the kind of their file: predictions, frozen.
+    """
+    rows = []
+    for metric, values in metrics.items():
+        rows += [(metric, "", values)] if numpy.isscalar(values) else [(metric, k, v) for k, v in enumerate(values)]
+    frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
+    write(measurement(study, lens, name, seed), frame.to_csv(index=False))
+    for kind, values in by_image.items():
+        columns = {f"field{k}": column for k, column in enumerate(numpy.transpose(values))}
+        frame = pandas.DataFrame({"image": range(len(values)), "label": "cat"} | columns)
+        write(measurement(study, lens, name, seed, f"-{kind}"), frame.to_csv(index=False))
+
+
 def write_results(study, accuracy, minival=None, inside=0.9, lenses=None) -> None:
     """Write files of a study in which a fraction accuracy(lens, classifier, seed) of all captures is correct.
 
@@ -28,21 +46,15 @@ def write_results(study, accuracy, minival=None, inside=0.9, lenses=None) -> Non
     also correct through a better one.
     """
     luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))
-    index = {"image": range(IMAGES), "label": ["cat"] * IMAGES}
     for seed in study.seeds:
         for lens in lenses or (SHARP, *study.lenses):
             for name in [*study.classifiers, *(measured_name(name, True) for name in study.classifiers)]:
                 fields = 1 if lens == SHARP else FIELDS
                 right = (luck[:, :fields] < accuracy(lens, name, seed)).astype(int)
                 minival_share = (minival or accuracy)(lens, name, seed)
-                columns = {f"field{k}": right[:, k] for k in range(fields)}
-                for kind in ("-predictions", "-frozen"):
-                    path = measurement(study.name, lens, name, seed, kind)
-                    write(path, pandas.DataFrame(index | columns).to_csv(index=False))
-                rows = [("minival_accuracy", k, 100 * minival_share) for k in range(fields)] + [("chance", "", 10.0)]
-                rows += [("accuracy", k, value) for k, value in enumerate(100 * right.mean(0))]
-                frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
-                write(measurement(study.name, lens, name, seed), frame.to_csv(index=False))
+                metrics = {"minival_accuracy": [100 * minival_share] * fields, "chance": 10.0}
+                metrics["accuracy"] = 100 * right.mean(0)
+                write_measurement(study.name, lens, name, seed, metrics, predictions=right, frozen=right)
             means = {"rms_spot_um": 9.0, "core_radius_um": 3.0, "energy_in_window": inside}
             text = yaml.safe_dump({"means": means, "worst_margin": {"limit": "max_slope", "value": 0.01}})
             write(lens_file(study.name, lens, seed), text)

@@ -2,10 +2,11 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import pytest
 import torch
-from examples import WAVELENGTHS, cooke_triplet, difference, f64, make_lens, random_lens
+from examples import WAVELENGTHS, assert_derivative, cooke_triplet, difference, f64, make_lens, random_lens, view_at
 from prescriptions import TENSORS, tensors
 from reference_lenses import INNER_STOPS, LENS_FILES, reference_lens, reference_view
 
@@ -19,7 +20,6 @@ from tasklens.optics.analysis.spots import chief_points, trace_fields
 from tasklens.optics.lens import Lens, Melt
 from tasklens.optics.rays import Rays, RayStatus, launch
 from tasklens.optics.tracing.trace import trace, trace_full
-from tasklens.optics.view import View
 
 CENTRE = torch.zeros(1, 2, dtype=torch.float64)
 FEW = torch.cat([CENTRE, rim(16), sobol_disc(64, seed=1)])  # solved ray by ray
@@ -48,9 +48,7 @@ def tangents_of(*degrees: float) -> torch.Tensor:
     return f64([[0.6 * math.tan(math.radians(a)), -0.8 * math.tan(math.radians(a))] for a in degrees])
 
 
-def view_at(tangents: torch.Tensor, wavelengths: tuple[float, ...] = WAVELENGTHS) -> View:
-    """Fields by their tangents, for a pinhole of 1 mm."""
-    return View(tangents, 1.0, wavelengths, 1.8, 31)
+in_colours = partial(view_at, wavelengths=WAVELENGTHS)
 
 
 def assert_on_stop(lens: Lens, rays: Rays, points: torch.Tensor, wavelengths: tuple[float, ...]) -> None:
@@ -90,7 +88,7 @@ def test_stops_of_other_kinds(make, angles):
     """70 degrees off the axis the paraxial entrance pupil of a wide-angle lens misses the real one altogether."""
     lens, tangents = make(), tangents_of(*angles)
     for points in (FEW, MANY):
-        rays = launch_fields(lens, view_at(tangents), points)
+        rays = launch_fields(lens, in_colours(tangents), points)
         assert rays.valid.all() and trace(lens, rays, lens.refractive_indices(WAVELENGTHS)).valid.all()
         assert_on_stop(lens, rays, points, WAVELENGTHS)
 
@@ -132,7 +130,7 @@ def test_a_stop_in_front_changes_nothing(monkeypatch):
     for lens in [in_front, in_air, *plane]:
         wavelengths = (0.4861327, 0.5875618, 0.6562725)
         expected = unaimed(lens, tangents_of(0, 2), FEW, wavelengths)
-        rays = launch_fields(lens, view_at(tangents_of(0, 2), wavelengths), FEW)
+        rays = launch_fields(lens, view_at(tangents_of(0, 2), wavelengths=wavelengths), FEW)
         for name, value in vars(expected).items():
             assert torch.equal(getattr(rays, name), value), name
 
@@ -162,7 +160,7 @@ def image_points(make, name: str):
             inputs[name] = value
         else:
             changed = replace(lens, **{name: value})
-        rays = launch_fields(changed, view_at(inputs["tangents"]), inputs["pupil"])
+        rays = launch_fields(changed, in_colours(inputs["tangents"]), inputs["pupil"])
         # The rim of the stop is not an aperture here: a difference moves rays across it.
         opened = replace(changed, semi_diameter=torch.full_like(changed.curvature.detach(), torch.inf))
         rays = trace(opened, rays, changed.refractive_indices(WAVELENGTHS))
@@ -178,16 +176,9 @@ def image_points(make, name: str):
     + [(curved_stop, name) for name in ("curvature", "conic", "alpha")],
 )
 def test_derivatives_through_aiming(make, name):
-    """Reverse and forward mode along a random change against differences, relative to the largest derivative: 1e-7."""
     image, value = image_points(make, name)
     step = {"curvature": 1e-5, "alpha": 1e-8}.get(name, 1e-4)
-    change = torch.randn(value.shape, generator=torch.Generator().manual_seed(5), dtype=torch.float64)
-    expected = difference(lambda t: image(value + t * change), f64(0.0), step)
-    scale = float(expected.abs().max())
-    reverse = (torch.autograd.functional.jacobian(image, value) * change).flatten(expected.dim()).sum(-1)
-    torch.testing.assert_close(reverse, expected, rtol=0, atol=1e-7 * scale)
-    forward = torch.func.jvp(image, (value,), (change,))[1]
-    torch.testing.assert_close(forward, expected, rtol=0, atol=1e-7 * scale)
+    assert_derivative(image, value, step, seed=5, rtol=1e-7)
 
 
 def test_derivatives_of_bundles_that_a_polynomial_starts():
@@ -201,7 +192,7 @@ def test_derivatives_of_bundles_that_a_polynomial_starts():
         shape = {name: getattr(lens, name) + t * directions[name] for name in names[:2]}
         melt = Melt(t * directions["shift"], torch.zeros(5, dtype=torch.float64), 0.5876)
         changed = replace(lens, **shape, melt=melt)
-        rays = launch_fields(changed, view_at(tangents_of(0, 40)), MANY)
+        rays = launch_fields(changed, in_colours(tangents_of(0, 40)), MANY)
         opened = replace(changed, semi_diameter=torch.full_like(lens.semi_diameter, torch.inf))
         rays = trace(opened, rays, changed.refractive_indices(WAVELENGTHS))
         return (rays.x.square() + rays.y.square()).mean()
@@ -220,7 +211,7 @@ def test_what_no_ray_reaches_is_lost():
     lens = cooke_triplet(curvature=cooke_triplet().curvature.requires_grad_())
     tangents = tangents_of(0, 20, 60, 80)
     for points in (FEW, MANY):
-        rays = launch_fields(lens, view_at(tangents), points)
+        rays = launch_fields(lens, in_colours(tangents), points)
         assert rays.valid[:2].all() and not rays.valid[3].any()
         image = trace(lens, rays, lens.refractive_indices(WAVELENGTHS))
         lost = ~rays.valid
@@ -231,7 +222,7 @@ def test_what_no_ray_reaches_is_lost():
             assert value.isfinite().all()
         (gradient,) = torch.autograd.grad(image.x[2:].sum() + image.y.sum(), lens.curvature)
         assert gradient.isfinite().all() and gradient.any()
-        outside = trace_fields(lens, view_at(tangents[3:]), points)
+        outside = trace_fields(lens, in_colours(tangents[3:]), points)
         (gradient,) = torch.autograd.grad(outside.x.sum(), lens.curvature)
         assert not gradient.any()
 
@@ -242,8 +233,8 @@ def test_a_clear_aperture_in_front_of_the_stop_still_vignettes():
     indices = lens.refractive_indices(WAVELENGTHS)
     clipped = replace(lens, semi_diameter=lens.semi_diameter.clone())
     clipped.semi_diameter[0] = 8.0
-    rays = launch_fields(lens, view_at(tangents), MANY)
-    clipped_rays = launch_fields(clipped, view_at(tangents), MANY)
+    rays = launch_fields(lens, in_colours(tangents), MANY)
+    clipped_rays = launch_fields(clipped, in_colours(tangents), MANY)
     assert torch.equal(rays.x, clipped_rays.x) and torch.equal(rays.y, clipped_rays.y)
     behind = trace_full(lens, rays, indices)[1][0]
     image = trace(clipped, clipped_rays, indices)
@@ -265,13 +256,14 @@ def brute_force(lens: Lens, tangents: torch.Tensor, wavelength: float, half_widt
     edge = torch.maximum(x.abs(), y.abs()) > half_width * (1 - 2 / count)
     light = []
     for tangent in tangents:
-        centre = launch_fields(lens, view_at(tangent[None], (wavelength,)), CENTRE)  # only centres the square
+        view = view_at(tangent[None], wavelengths=(wavelength,))
+        centre = launch_fields(lens, view, CENTRE)  # only centres the square
         n = torch.rsqrt(1 + tangent.square().sum())
         start = launch(centre.x + x, centre.y + y, torch.zeros_like(x), tangent[0] * n, tangent[1] * n, n)
         valid = trace(lens, start, indices).valid
         assert valid.any() and not (valid & edge).any()  # the square holds the whole pupil
         steps = 1e-5 * torch.cat([torch.eye(2), -torch.eye(2)]).double()
-        points = chief_points(lens, view_at(tangent + steps, (wavelength,)))
+        points = chief_points(lens, view_at(tangent + steps, wavelengths=(wavelength,)))
         light.append(valid.sum() * n**4 / torch.linalg.det(points[:2] - points[2:]).abs())
     return torch.stack(light)
 
@@ -286,10 +278,10 @@ def test_relative_illumination_is_of_the_real_pupil(make, angles, half_width, cl
     """
     lens, tangents = make(), tangents_of(*angles)
     if clipped:  # smaller than the beam of the largest field
-        rays = launch_fields(lens, view_at(tangents), rim(64))
+        rays = launch_fields(lens, in_colours(tangents), rim(64))
         behind = trace_full(lens, rays, lens.refractive_indices(WAVELENGTHS))[1][-2]
         height = torch.hypot(behind.x, behind.y)[-1]
         lens.semi_diameter[-2] = float(height.mean())
     light = brute_force(lens, tangents, WAVELENGTHS[1], half_width, 400)
-    illumination = relative_illumination(lens, view_at(tangents))
+    illumination = relative_illumination(lens, in_colours(tangents))
     torch.testing.assert_close(illumination, light / light[0], rtol=0, atol=0.02 if clipped else 5e-3)

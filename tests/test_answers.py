@@ -4,7 +4,7 @@ import re
 
 import pandas
 import pytest
-from random_answers import RandomAnswers, claim
+from random_answers import claim, random_answers
 
 from tasklens.runtime.files import FileError
 from tasklens.study.claims import FLAT_FAILS, OVER_IMAGING1, Claims
@@ -19,7 +19,7 @@ CLAIMS = Claims(
 
 def test_verdicts_from_a_file_of_answers_are_those_of_the_measurements(tmp_path):
     """Of several baselines, and of a design that fails; to the last digit, also the claims themselves."""
-    measurements, path = RandomAnswers({}, {}), tmp_path / "verdicts.npz"
+    measurements, path = random_answers(CLAIMS), tmp_path / "verdicts.npz"
     answers_file.write(path, CLAIMS, measurements)
     claims, packed = answers_file.read(path)
     assert claims == CLAIMS
@@ -29,7 +29,7 @@ def test_verdicts_from_a_file_of_answers_are_those_of_the_measurements(tmp_path)
 
 def test_a_study_without_claims_has_a_file(tmp_path):
     none = Claims(study="known", claims=(), seeds=(0,))
-    answers_file.write(tmp_path / "verdicts.npz", none, RandomAnswers({}, {}))
+    answers_file.write(tmp_path / "verdicts.npz", none, random_answers(none))
     assert answers_file.read(tmp_path / "verdicts.npz")[0] == none
 
 

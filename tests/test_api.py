@@ -4,11 +4,11 @@ import importlib.metadata
 import inspect
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy
 import pytest
 import torch
+from examples import HEADLINE
 from PIL import Image
 from typed_lenses import COOKE
 
@@ -19,12 +19,10 @@ from tasklens.optics.lens import Melt
 from tasklens.runtime.errors import InputError
 from tasklens.settings.specification import Spec
 
-PUBLISHED = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
-
 
 @pytest.fixture(scope="module")
 def doublet():
-    return tasklens.load_lens(PUBLISHED / "doublet-imaging2.yaml")
+    return tasklens.load_lens(HEADLINE / "doublet-imaging2.yaml")
 
 
 TYPES = {"InputError", "Lens", "Ranking", "SensorSettings", "View"}
@@ -55,7 +53,7 @@ def test_a_lens_and_its_view(doublet, tmp_path):
         assert torch.equal(again.curvature, lens.curvature) and torch.equal(again.thickness, lens.thickness)
         assert float(its_view.tangents.max()) == pytest.approx(float(view.tangents.max()), rel=1e-9)
     with pytest.raises(InputError, match="pixel_pitch_um = -3: expected greater"):
-        tasklens.load_lens(PUBLISHED / "doublet-imaging2.yaml", pixel_pitch_um=-3)
+        tasklens.load_lens(HEADLINE / "doublet-imaging2.yaml", pixel_pitch_um=-3)
 
 
 def test_a_changed_value_leaves_the_others_of_a_saved_lens(tmp_path):
@@ -196,7 +194,7 @@ def test_a_design_in_a_notebook():
 
 def test_a_design_starts_from_a_lens_in_memory(tmp_path):
     """The same as from its file."""
-    lens, view = tasklens.load_lens(PUBLISHED / "doublet-tasklens.yaml")
+    lens, view = tasklens.load_lens(HEADLINE / "doublet-tasklens.yaml")
     tasklens.save_lens(tmp_path / "lens.yaml", lens, view)
     settings = {"descents": {"0": {"steps": 2}}}
     first, _, _ = tasklens.design_lens("spot", start=(lens, view), settings=settings)

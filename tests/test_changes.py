@@ -23,11 +23,7 @@ from tasklens.study.run.forecast import Durations
 from tasklens.study.study import Study
 
 LENSES = ("imaging1", "imaging2")
-
-
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("here")
 
 
 def base() -> dict:

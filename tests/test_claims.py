@@ -60,9 +60,8 @@ def test_fewer_elements_are_judged_between_neighbours_in_the_study():
     }
 
 
-def test_claims_about_absent_lenses_are_left_out(tmp_path, monkeypatch):
+def test_claims_about_absent_lenses_are_left_out(here):
     """A study without task-driven or end-to-end lenses has no claim, and its file says so."""
-    monkeypatch.chdir(tmp_path)
     designs = {name: design for name, design in tiny_study()["designs"].items() if name.startswith("imaging")}
     study = parse(tiny_study() | {"designs": designs})
     job = claims.claims(study)

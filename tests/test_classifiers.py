@@ -232,11 +232,10 @@ def number(num_classes):
 
 
 @pytest.fixture
-def own_module(tmp_path, monkeypatch):
+def own_module(here, monkeypatch):
     """A module of the user in the current folder."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", sys.path[:])
-    (tmp_path / "own_networks.py").write_text(OWN)
+    (here / "own_networks.py").write_text(OWN)
     yield
     sys.modules.pop("own_networks", None)
 

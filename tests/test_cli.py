@@ -33,14 +33,7 @@ def test_waiting_threads_sleep_unless_the_user_decides(environment, policy):
     assert done.stdout.split() == [policy, "False"] and done.returncode == 3
 
 
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty folder, in which jobs run."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
-
-
-def test_a_program_ends_with_all_that_it_printed(folder):
+def test_a_program_ends_with_all_that_it_printed(here):
     """It frees no memory at exit, but its output to a pipe is complete."""
     write("study.yaml", yaml.safe_dump(tiny_study()))
     program = [sys.executable, "-m", "tasklens.cli", "study", "check", "--no-weight-files", "study.yaml"]
@@ -48,7 +41,7 @@ def test_a_program_ends_with_all_that_it_printed(folder):
     assert (done.returncode, done.stdout) == (0, "tiny: 6 lenses, 2 classifiers, seeds [0]\n")
 
 
-def test_a_design_that_diverges_says_so_in_its_lens_file(folder, monkeypatch):
+def test_a_design_that_diverges_says_so_in_its_lens_file(here, monkeypatch):
     """If the gradient is not finite at the third step, the lens of the second step is written."""
     change, steps = AdamWOptimizer.change, iter((1.0, 1.0, float("nan")))
     monkeypatch.setattr(AdamWOptimizer, "change", lambda *rest: next(steps) * change(*rest))
@@ -57,12 +50,12 @@ def test_a_design_that_diverges_says_so_in_its_lens_file(folder, monkeypatch):
 
 
 @pytest.mark.slow
-def test_an_imported_lens_goes_the_same_way(folder, capsys):
+def test_an_imported_lens_goes_the_same_way(here, capsys):
     """From its file to its PSF and figure; `check` reports unusable lenses before any job."""
-    prescription.write(folder / "theirs.yaml", Prescription(cooke_triplet()), {})
+    prescription.write(here / "theirs.yaml", Prescription(cooke_triplet()), {})
     entry = {"elements": "triplet", "file": "theirs.yaml", "focus": "spot"}
     study = changed(tiny_study(), "imported.cooke", entry)
-    path = folder / "imported.yaml"
+    path = here / "imported.yaml"
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 36)))
     for rule in ("design", "psfs", "certificate", "drawing"):
         finish(rule, load(path), lens="triplet-cooke", seed=0)
@@ -76,14 +69,7 @@ def test_an_imported_lens_goes_the_same_way(folder, capsys):
     assert re.search("theirs.yaml: .* does not cover the field", capsys.readouterr().err)
 
 
-@pytest.mark.parametrize("rays", ["0", "many"])
-def test_a_number_of_rays_is_positive(folder, capsys, rays):
-    prescription.write(folder / "bare.yaml", Prescription(cooke_triplet()), {})
-    assert main(["lens", "analyse", "bare.yaml", "--rays", rays]) == 2
-    assert "--rays" in capsys.readouterr().err
-
-
-def test_a_broken_lens_file_is_a_message_too(folder):
+def test_a_broken_lens_file_is_a_message_too(here):
     for name in ("lens.yaml", "psf.safetensors"):
         write(lens_file("tiny", "singlet-imaging1", 5, name), "format: 2\n")
     with pytest.raises(FileError, match=r"seed5/lens\.yaml: "):

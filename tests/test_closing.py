@@ -22,12 +22,7 @@ SENTENCES = [
     "The one claim of the paper that is tested here is supported by every comparison.",
     "One seed can only suggest a difference; at least 5 are needed to show one. Intervals are 95 % over test images.",
 ]
-
-
-@pytest.fixture(autouse=True)
-def place(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+pytestmark = pytest.mark.usefixtures("here")
 
 
 def verdicts(*claims) -> None:

@@ -262,11 +262,12 @@ def test_a_full_disk_is_noticed_before_the_work(tmp_path, monkeypatch):
     assert not files_in(tmp_path / "out")
 
 
-def test_a_truncated_image_is_named_and_nothing_is_written(tmp_path):
+@pytest.mark.parametrize("kept, rest", [(3000, b""), (8, b"\0\0\0\0IHDR\0\0\0\0")])  # Pillow: OSError, ValueError
+def test_a_damaged_image_is_named_and_nothing_is_written(tmp_path, kept, rest):
     folder = make_folder(tmp_path)
-    cut = folder / "train" / "cat" / "cut.png"
-    cut.write_bytes((PHOTOGRAPHS / "original.png").read_bytes()[:3000])
-    with pytest.raises(FileError, match=str(cut)):
+    damaged = folder / "train" / "cat" / "damaged.png"
+    damaged.write_bytes((PHOTOGRAPHS / "original.png").read_bytes()[:kept] + rest)
+    with pytest.raises(FileError, match=str(damaged)):
         make_splits(tmp_path / "out", ImageSettings(size=16, minival=2, folder=folder))
     assert not files_in(tmp_path / "out")
 

@@ -126,31 +126,8 @@ def test_the_spec_of_a_file_is_the_view_that_made_its_figures(lens, lens_figures
     prescription.write(path, prescription.Prescription(lens), content)
     reread, content = prescription.read(path)
     assert figures(reread.lens, view_of(reread.lens, content, "lens.yaml"), RAYS) == content["figures"] == lens_figures
-
-
-@pytest.mark.parametrize(
-    "change, words",
-    [
-        (None, "no spec"),
-        ({"efl_mm": None}, "efl_mm|cannot be used"),
-        ({"kernel_size": ...}, "has no kernel_size"),
-        ({"fields_mm": [[0, 1, 2]]}, "cannot be used"),
-        ({"fields_mm": [[0, math.nan]]}, "fields_mm: expected a number, found nan"),
-        ({"wavelengths_um": [0.5, 2.5]}, r"2\.5 um"),
-        ({"wavelengths_um": [0.5, -0.5]}, r"wavelengths_um: expected a positive number, found -0\.5"),
-        *(({"efl_mm": v}, f"efl_mm: expected a (positive )?number, found {v}") for v in (0, -1.8, math.nan, math.inf)),
-        ({"pixel_pitch_um": 0}, "pixel_pitch_um: expected a positive number, found 0"),
-        *(({"kernel_size": v}, f"kernel_size: expected an odd number of pixels.* found {v}") for v in (50, 1, 30.5)),
-    ],
-)
-def test_a_spec_that_cannot_be_used_is_named(lens, change, words):
-    lens, view = lens
-    content = {}
-    if change is not None:
-        content = {"spec": {k: v for k, v in (spec_of(view) | change).items() if v is not ...}}
-    with pytest.raises(FileError, match=words) as error:
-        view_of(lens, content, "some/lens.yaml")
-    assert str(error.value).startswith("some/lens.yaml: ")
+    with pytest.raises(FileError, match=r"^lens\.yaml: has no spec"):
+        view_of(reread.lens, {}, "lens.yaml")
 
 
 @pytest.mark.parametrize("radius", [0.0, -0.3, math.nan, math.inf])

@@ -7,7 +7,6 @@ import pytest
 import torch
 from designs import LEARNING_RATES, LIMITS, VIEW, problem, tiny_network
 from examples import changed, f64, make_lens, materials, tiny_study
-from pydantic import TypeAdapter, ValidationError
 
 from tasklens.design import least_squares, methods
 from tasklens.design.constraints import _INCIDENT, incidence_penalty
@@ -23,12 +22,7 @@ from tasklens.optics.analysis.spots import centroid, rms_spot_radius, trace_fiel
 from tasklens.optics.io import prescription
 from tasklens.optics.view import View, view_of_spec
 from tasklens.runtime.errors import InputError
-from tasklens.settings.design_settings import (
-    DescentSettings,
-    DesignSettings,
-    GradientDesignSettings,
-    LeastSquaresSettings,
-)
+from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings, LeastSquaresSettings
 from tasklens.settings.layers import merged_settings
 from tasklens.settings.specification import Spec
 from tasklens.study.loading import parse
@@ -71,31 +65,7 @@ def test_first_steps_have_the_recorded_losses(settings, expected):
     assert losses == pytest.approx(expected, rel=1e-5)
 
 
-ADAMW = {"steps": 1, "optimizer": "adamw"}
-SPOT, CONTRAST = ({"steps": 1, "criterion": criterion} for criterion in ("spot", "contrast"))
-
-
-@pytest.mark.parametrize(
-    "design, words",
-    [
-        ({"descents": []}, "at least 1 item"),
-        ({"start": [], "descents": [{"steps": 1}]}, "a list of designs or imported lenses"),
-        ({"descents": [ADAMW | {"momentum": 0.5}]}, "momentum: only for `optimizer: ray_space`"),
-        ({"descents": [{"steps": 1, "penalty": 5}]}, "penalty: only for `optimizer: adamw`"),
-        ({"descents": [SPOT | {"temperature": 5}]}, "temperature: only for `criterion: task`"),
-        ({"descents": [{"steps": 1, "pixels": [1, 2]}]}, "at least as coarse as the last"),
-        ({"descents": [{"steps": 1}, {"steps": 1, "lenses": 2}]}, "at most 1, as many as in the previous descent"),
-        ({"descents": [SPOT], "batch_norm": "batch"}, "only for designs with a descent"),
-        ({"descents": [{"steps": 1, "final": 0.02}]}, "final: no effect in ray space with `duration: 1` and a frozen"),
-        ({"descents": [SPOT | {"centre": "chief_ray"}]}, "centre: no effect with `criterion: spot`"),
-        ({"descents": [CONTRAST | {"batch_size": 3}]}, "batch_size: no effect with `criterion: contrast`"),
-        ({"method": "least_squares", "spot_um": 5, "vignetting": 0.3}, "spot_um: not with `vignetting`"),
-    ],
-)
-def test_keys_that_do_not_fit_each_other(design, words):
-    with pytest.raises(ValidationError) as error:
-        TypeAdapter(DesignSettings).validate_python(design)
-    assert words in str(error.value)
+def test_final_learning_rates_count_before_the_end_or_with_a_trained_network():
     assert DescentSettings(steps=9, final=0.02, duration=0.7).final == 0.02
     assert DescentSettings(steps=9, final=0.02, network_learning_rate=1e-4).final == 0.02
 

@@ -96,17 +96,6 @@ def test_a_design_may_see_smaller_images(start):
     assert (next(noise) < 0.7 * next(noise)).all()
 
 
-def test_a_descent_that_destroys_a_lens_returns_its_best(start):
-    """At rates a hundred times too large: the lens with the least validation loss comes back."""
-    options = {"network_learning_rate": None, "classes": 1, "pixels": (10, 10)}
-    rates = LEARNING_RATES.model_copy(update={"curvature": 1.0})
-    lens, history = adamw_descent(Contrast(), start, steps=12, learning_rates=rates, **options)
-    validated = [row["validation_loss"] for row in history]
-    assert len(validated) == 12 and validated[-1] > min(validated) + 0.003
-    _, again = adamw_descent(Contrast(), lens, steps=2, **options)
-    assert again[0]["validation_loss"] == pytest.approx(min(validated), rel=1e-6)
-
-
 class Confident(Contrast):
     """`Contrast` with a trainable bias of the answer, so that training lowers the loss whatever the lens does."""
 

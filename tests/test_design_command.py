@@ -8,26 +8,17 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import random_images, write_photographs
+from examples import random_images, trained_resnet, write_photographs
 from safetensors.torch import load_file, save_file
 
 from tasklens.cli.app import main
 from tasklens.materials.catalogues import builtin
 from tasklens.optics.io import lens_files
-from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import unused_images
-from tasklens.recognition.training import fit
-from tasklens.runtime.files import FileError, write_tensors
+from tasklens.runtime.files import FileError
 from tasklens.settings.lens_settings import lens_settings, with_starts
-from tasklens.settings.network_settings import TrainingSettings
 
 QUICK = ("--elements", "COC", "--set", "evaluations=100", "--set", "starts=3")
-
-
-@pytest.fixture
-def folder(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
 
 
 @pytest.fixture(scope="module")
@@ -35,27 +26,23 @@ def trained(tmp_path_factory):
     """Forty images of each of three classes that differ in brightness, and weights of a network trained on them."""
     folder, images = tmp_path_factory.mktemp("trained"), random_images(120, 40, 3, seed=0)
     write_photographs(folder / "photographs", images, ("cat", "dog", "owl"))
-    torch.manual_seed(0)
-    network = Classifier(timm.create_model("test_resnet", num_classes=3))
-    settings = TrainingSettings(epochs=4, learning_rate=1e-2, batch_size=8)
-    fit(network, images, settings, 0, "test")
-    write_tensors(folder / "mine.safetensors", network.network.state_dict(), {})
+    trained_resnet(folder / "mine.safetensors", images, epochs=4, batch_size=8)
     return folder
 
 
 @pytest.fixture
-def photographs(folder, trained):
-    """A folder with these photographs and weights."""
-    (folder / "photographs").symlink_to(trained / "photographs")
-    shutil.copy(trained / "mine.safetensors", folder)
-    return folder
+def photographs(here, trained):
+    """The current folder, with these photographs and weights."""
+    (here / "photographs").symlink_to(trained / "photographs")
+    shutil.copy(trained / "mine.safetensors", here)
+    return here
 
 
 def design(*arguments) -> int:
     return main(["design", *map(str, arguments)])
 
 
-def test_a_lens_by_least_squares(folder, capsys):
+def test_a_lens_by_least_squares(here, capsys):
     """With the given F-number and field, and within its limits, one of them given."""
     options = (*QUICK, "--f-number", "4", "--field-of-view", "40", "--limit", "max_track=8")
     assert design(*options, "-o", "lens.yaml", "--json") == 0
@@ -65,25 +52,25 @@ def test_a_lens_by_least_squares(folder, capsys):
     assert 4.4 < summary["track_mm"] <= 8
     assert summary["fields"]["angle_deg"][-1] == pytest.approx(20, abs=1e-9)
     assert max(summary["fields"]["rms_centroid_um"]) < 20 and summary["worst_margin"]["value"] > 0
-    content = yaml.safe_load((folder / "lens.yaml").read_text())
+    content = yaml.safe_load((here / "lens.yaml").read_text())
     assert content["origin"]["method"] == "least_squares" and content["figures"]["efl_mm"] == summary["efl_mm"]
     assert main(["lens", "show", "lens.yaml", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["lens.yaml"]["fields"] == summary["fields"]
 
     assert design(*options, "-o", "lens.zmx") == 0
-    native, exported = (lens_files.read(folder / f"lens.{suffix}") for suffix in ("yaml", "zmx"))
+    native, exported = (lens_files.read(here / f"lens.{suffix}") for suffix in ("yaml", "zmx"))
     assert torch.equal(native.lens.curvature, exported.lens.curvature)
     assert torch.equal(native.lens.thickness, exported.lens.thickness)
     assert exported.view.radii.max() / exported.view.efl == pytest.approx(numpy.tan(numpy.radians(20)), rel=1e-6)
 
 
-def test_a_lens_of_a_plastic_in_the_folder_of_catalogues(folder, monkeypatch):
+def test_a_lens_of_a_plastic_in_the_folder_of_catalogues(here, monkeypatch):
     """Without naming its file."""
-    (folder / "mine").mkdir()
-    (folder / "mine/maker.yaml").write_text(yaml.safe_dump({"MINE": builtin("PMMA").definition()}))
+    (here / "mine").mkdir()
+    (here / "mine/maker.yaml").write_text(yaml.safe_dump({"MINE": builtin("PMMA").definition()}))
     monkeypatch.setenv("TASKLENS_CATALOGUES", "mine")
     assert design("--elements", "MINE", "--set", "evaluations=10", "--set", "starts=1", "-o", "lens.yaml") == 0
-    assert [medium.name for medium in lens_files.read(folder / "lens.yaml").lens.media][1] == "MINE"
+    assert [medium.name for medium in lens_files.read(here / "lens.yaml").lens.media][1] == "MINE"
 
 
 @pytest.mark.slow

@@ -5,8 +5,7 @@ import re
 import shutil
 
 import pytest
-from our_modules import MODULES, ROOT, name_of
-from rules import rule_names, workflow
+from rules import MODULES, ROOT, name_of, rule_names, workflow
 
 from tasklens.study.run import digest
 from tasklens.study.run.changes import COUNTED

@@ -7,17 +7,11 @@ import sys
 from pathlib import Path
 
 import pytest
-import timm
-from examples import cooke_triplet, random_images, write_photographs
+from examples import cooke_file, random_images, trained_resnet, write_photographs
 
 from tasklens.cli.app import main
 from tasklens.optics.io import zemax
-from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.tolerancing import yields
-from tasklens.recognition.classifiers import Classifier
-from tasklens.recognition.training import fit
-from tasklens.runtime.files import write_tensors
-from tasklens.settings.network_settings import TrainingSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = sorted(
@@ -47,16 +41,15 @@ def test_examples_run(page, number, monkeypatch, capsys):
 
 
 @pytest.mark.slow
-def test_commands_of_the_tutorial_run(tmp_path, monkeypatch, few_rays):
+def test_commands_of_the_tutorial_run(here, few_rays):
     """In a folder with the test photographs and the published lenses; the search for a lens is brief."""
-    monkeypatch.chdir(tmp_path)
     for name in ("docs", "tests"):
-        (tmp_path / name).symlink_to(ROOT / name)
+        (here / name).symlink_to(ROOT / name)
     for line in "".join(blocks(ROOT / "docs/tutorial.md", "bash")).splitlines():
         brief = "--set evaluations=100 --set starts=3" if line.startswith("tasklens design") else ""
         assert main([*line.split()[1:], *brief.split()]) == 0, line
     for name in ("doublet.png", "capture.png", "both.png", "doublet.zmx", "mine.yaml"):
-        assert (tmp_path / name).stat().st_size > 1000, name
+        assert (here / name).stat().st_size > 1000, name
     subprocess.run([Path(sys.executable).parent / "tasklens", "lens", "show", "doublet.zmx"], check=True)
 
 
@@ -76,20 +69,16 @@ QUICK = {  # options that make a command quick, by the beginning of the command
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
-def test_commands_of_the_how_to_run(tmp_path, monkeypatch, few_rays):
+def test_commands_of_the_how_to_run(here, monkeypatch, few_rays):
     """Commands for the user's own lens: a Cooke triplet, few steps, and a network that tells dark from bright."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(yields, "_RAYS", 32)
-    fields = ("angle_deg", ((0.0, 0.0), (0.0, 20.0)))
-    zemax.write(tmp_path / "my.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.65, 0.55, 0.47), 1))
-    (tmp_path / "MAKER.AGF").write_text("NM MINE 5 0 1.5 50\nCD 1.5 0 0\nLD 0.4 0.8\n")
-    (tmp_path / "catalogue").mkdir()
-    shutil.copy(tmp_path / "my.zmx", tmp_path / "catalogue")
+    cooke_file(here / "my.zmx", wavelengths_um=(0.65, 0.55, 0.47))
+    (here / "MAKER.AGF").write_text("NM MINE 5 0 1.5 50\nCD 1.5 0 0\nLD 0.4 0.8\n")
+    (here / "catalogue").mkdir()
+    shutil.copy(here / "my.zmx", here / "catalogue")
     images = random_images(120, 40, 2, seed=0)
-    write_photographs(tmp_path / "photographs", images, ("cat", "dog"))
-    network = Classifier(timm.create_model("test_resnet", num_classes=2))
-    fit(network, images, TrainingSettings(epochs=2, learning_rate=1e-3, batch_size=12), 0, "test")
-    write_tensors(tmp_path / "mine.safetensors", network.network.state_dict(), {})
+    write_photographs(here / "photographs", images, ("cat", "dog"))
+    trained_resnet(here / "mine.safetensors", images, epochs=2, learning_rate=1e-3, batch_size=12)
     lines = [line for block in blocks(ROOT / "docs/how-to.md", "text") for line in block.splitlines()]
     commands = [(line, quick) for line in lines for start, quick in QUICK.items() if line.startswith(start)]
     done = set()
@@ -97,8 +86,8 @@ def test_commands_of_the_how_to_run(tmp_path, monkeypatch, few_rays):
         if line not in done:  # by the first, longest matching beginning
             done.add(line)
             assert main([*line.split()[1:], *quick.split()]) == 0, line
-    assert len(done) == 7 and (tmp_path / "mine.html").exists() and Path("results/ranking/ranking.html").exists()
-    assert zemax.read(tmp_path / "better.zmx").lens.stop == 4
+    assert len(done) == 7 and (here / "mine.html").exists() and Path("results/ranking/ranking.html").exists()
+    assert zemax.read(here / "better.zmx").lens.stop == 4
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)

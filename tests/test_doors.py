@@ -6,17 +6,13 @@ import pandas
 import pytest
 import timm
 import torch
-from examples import measurement, write_photographs
+from examples import measurement, trained_resnet, write_photographs
 from safetensors.torch import load_file
 
 import tasklens
 from tasklens.cli.app import main
 from tasklens.optics.analysis.focus import move_image_plane
-from tasklens.recognition.classifiers import Classifier
 from tasklens.recognition.dataset import ImageDataset
-from tasklens.recognition.training import fit
-from tasklens.runtime.files import write_tensors
-from tasklens.settings.network_settings import TrainingSettings
 from tasklens.show import predictions
 
 CLASSES = ("coarse", "fine", "medium")
@@ -34,16 +30,12 @@ def stripes(count: int, seed: int) -> ImageDataset:
 
 
 @pytest.mark.slow
-def test_every_door_gives_the_same_answers(tmp_path, monkeypatch, capsys):
+def test_every_door_gives_the_same_answers(here, capsys):
     """For a designed lens and the same out of focus, both measured where their files put the image plane."""
-    monkeypatch.chdir(tmp_path)
-    write_photographs(tmp_path / "stripes/test", stripes(60, seed=0), CLASSES)
+    write_photographs(here / "stripes/test", stripes(60, seed=0), CLASSES)
     training = stripes(120, seed=1)
-    write_photographs(tmp_path / "stripes/train", training, CLASSES)
-    torch.manual_seed(0)
-    network = Classifier(timm.create_model("test_resnet", num_classes=3))
-    fit(network, training, TrainingSettings(epochs=10, learning_rate=1e-2, batch_size=10), 0, "test")
-    write_tensors(tmp_path / "mine.safetensors", network.network.state_dict(), {})
+    write_photographs(here / "stripes/train", training, CLASSES)
+    trained_resnet(here / "mine.safetensors", training, epochs=10, batch_size=10)
     images = ("--images", "stripes", "--size", "32", "--network", "test_resnet", "--weights", "mine.safetensors")
     quick = ("descents.0.steps=2", "rays=64", "batch_size=2")
     options = [word for setting in quick for word in ("--set", setting)]

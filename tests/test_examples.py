@@ -1,6 +1,5 @@
 """Examples: the short example takes the same steps as the package."""
 
-import importlib.util
 import json
 import os
 import subprocess
@@ -10,7 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 from designs import LIMITS, VIEW, problem, tiny_network
-from examples import materials
+from examples import load_script, materials
 
 from tasklens.design import descent
 from tasklens.design.criteria import TaskLoss
@@ -25,10 +24,7 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 
 
 def example(name: str):
-    specification = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(specification)
-    specification.loader.exec_module(module)
-    return module
+    return load_script(EXAMPLES / f"{name}.py")
 
 
 @pytest.mark.slow
@@ -51,14 +47,13 @@ def test_the_task_driven_example_takes_the_steps_of_a_descent(monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_task_driven_example_makes_a_lens(monkeypatch, tmp_path, capsys):
+def test_the_task_driven_example_makes_a_lens(here, capsys):
     """The loss falls by a third within sixty steps."""
-    monkeypatch.chdir(tmp_path)
     module = example("task_driven")
     module.main(module.SETTINGS.model_copy(update={"steps": 60}), epochs=2)
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("step")]
     losses = [float(line.split()[3].rstrip(",")) for line in lines]
-    assert losses[-1] < 0.67 * losses[0] and (tmp_path / "task_driven.yaml").exists()
+    assert losses[-1] < 0.67 * losses[0] and (here / "task_driven.yaml").exists()
 
 
 NOTEBOOKS = sorted(EXAMPLES.glob("*.ipynb"))

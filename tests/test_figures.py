@@ -1,11 +1,10 @@
 """Figures of a lens: required labels, and reproducible files."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
-from examples import f64
+from examples import HEADLINE, f64
 from matplotlib.figure import Figure
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar
 from PIL import Image
@@ -32,8 +31,7 @@ def panel(start):
 @pytest.fixture(scope="module")
 def sharp():
     """A published triplet by least squares."""
-    path = Path(__file__).parents[1] / "docs/results/headline/lenses/triplet-imaging3.yaml"
-    return Panel.compute("sharp", *tasklens.load_lens(path), 256)
+    return Panel.compute("sharp", *tasklens.load_lens(HEADLINE / "triplet-imaging3.yaml"), 256)
 
 
 def draw(function, panel) -> Figure:

@@ -13,7 +13,6 @@ from finished_study import STUDY, TINY, content_of, design_outputs, kept, make, 
 from rules import finish, outputs
 from selenium.webdriver.common.by import By
 
-from tasklens.cli.app import main
 from tasklens.runtime.files import read_tensors, write_tensors
 from tasklens.runtime.job import user_error
 from tasklens.settings.starts import imaging_designs
@@ -35,7 +34,7 @@ def finished(tmp_path_factory):
 
 
 def test_every_design_leaves_a_readable_lens(finished):
-    """A prescription with its spec, origin, figures and margins, and a history; `analyse` prints the same numbers."""
+    """A prescription with its spec, origin, figures and margins, and a history."""
     for name in STUDY.designs:
         content = content_of(name)
         assert [s["medium"] for s in content["surfaces"]] == ["air", "COC", "air"]
@@ -46,16 +45,6 @@ def test_every_design_leaves_a_readable_lens(finished):
     phases = [row["phase"] for row in read_rows(design_outputs("tasklens").history)]
     first = [f"descent 1, lens {k} of 2" for k in (1, 1, 2, 2)]
     assert phases == first + ["descent 2"] * 2 + ["descent 3", "descent 4"]
-
-
-def test_analyse_prints_the_table_of_a_lens_file(finished, capsys):
-    """From the prescription and the spec in the file, without a study: the numbers that the design wrote."""
-    content = content_of("imaging1")
-    capsys.readouterr()
-    assert main(["lens", "analyse", str(design_outputs("imaging1").lens), "--rays", "64"]) == 0
-    printed = capsys.readouterr().out
-    assert f"{content['figures']['efl_mm']:.4f}" in printed and content["worst_margin"]["limit"] in printed
-    assert all(f" {value:.2f} |" in printed for value in content["figures"]["rms_centroid_um"])
 
 
 def test_design_from_imaging_begins_with_the_better_lens(finished):

@@ -14,26 +14,6 @@ from tasklens.optics.analysis.pupil import gauss_quadrature, sobol_disc
 N = builtin("COC").refractive_index(0.5893)
 
 
-@pytest.mark.parametrize("c1, c2, t", [(0.4, -0.2, 0.0), (0.4, -0.2, 1.1), (-0.3, 0.5, 0.7), (0.0, -0.5, 2.0)])
-def test_lens_makers_formula(c1, c2, t):
-    """1 / f = (n - 1) (c1 - c2 + (n - 1) t c1 c2 / n), and the back focus f (1 - (n - 1) t c1 / n)."""
-    first_order = paraxial(make_lens([c1, c2], [t, 1.0], ("COC", "air")), 0.5893)
-    power = (N - 1) * (c1 - c2 + (N - 1) * t * c1 * c2 / N)
-    assert float(first_order.power) == pytest.approx(power, rel=1e-14)
-    assert float(first_order.efl) == pytest.approx(1 / power, rel=1e-14)
-    assert float(first_order.bfl) == pytest.approx((1 - (N - 1) * t * c1 / N) / power, rel=1e-13)
-
-
-def test_pupil_of_a_stop_behind_a_thin_lens():
-    """A stop at distance d behind a thin lens of focal length f appears at d f / (f - d), larger by f / (f - d)."""
-    f, d, radius = 4.0, 1.5, 0.6
-    c = 1 / f / (N - 1)
-    lens = make_lens([c, 0, 0], [0, d, 2], ("COC", "air", "air"), semi_diameter=[9, 9, radius], stop=2)
-    first_order = paraxial(lens, 0.5893)
-    assert float(first_order.entrance_pupil_z) == pytest.approx(d * f / (f - d), rel=1e-13)
-    assert float(first_order.entrance_pupil_radius) == pytest.approx(radius * f / (f - d), rel=1e-13)
-
-
 def test_afocal_lens_has_no_power_but_a_gradient():
     lens = make_lens([0.0, 0.0], [1.0, 1.0], ("COC", "air"))
     curvature = lens.curvature.clone().requires_grad_()

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy
 import pytest
 import torch
+from examples import HEADLINE
 from PIL import Image
 
 import tasklens
@@ -13,19 +14,18 @@ from tasklens.api import captures
 from tasklens.cli.app import main
 from tasklens.optics.view import drawn_points
 
-LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-tasklens.yaml"
+LENS = HEADLINE / "doublet-tasklens.yaml"
 OPTIONS = ("--size", "64", "--rays", "256")
 
 
 @pytest.fixture
-def photos(tmp_path, monkeypatch):
+def photos(here):
     """Four square photographs in two folders."""
-    monkeypatch.chdir(tmp_path)
     pixels = numpy.random.default_rng(0).integers(0, 256, (4, 64, 64, 3), dtype=numpy.uint8)
     for k, name in enumerate(("cat/a.png", "cat/b.png", "dog/old/a.png", "dog/c.PNG")):
         Path("photos", name).parent.mkdir(parents=True, exist_ok=True)
         Image.fromarray(pixels[k]).save(Path("photos", name))
-    return tmp_path / "photos"
+    return here / "photos"
 
 
 def run(*words: str) -> int:

@@ -8,7 +8,7 @@ import numpy
 import pandas
 import pytest
 import torch
-from examples import tiny_study, write
+from examples import HEADLINE, tiny_study, write
 from PIL import Image
 from rules import finish, outputs
 
@@ -18,7 +18,6 @@ from tasklens.settings.specification import Spec
 from tasklens.study.jobs import frames as frames_job
 from tasklens.study.loading import parse
 
-LENSES = Path(__file__).parents[1] / "docs/results/headline/lenses"
 SHAPE = 108, 192
 IMAGES, SIDE, FIELDS, HALFWAY = 8, 16, 16, 5
 PSFS = 4 * FIELDS  # those that images take in turns
@@ -38,9 +37,8 @@ def with_parent(path: Path) -> Path:
 
 
 @pytest.fixture
-def study(tmp_path, monkeypatch):
+def study(here, monkeypatch):
     """Doublets of the headline study with planted predictions, and random images."""
-    monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(frames_job, "_SHAPE", SHAPE)
     tiny = tiny_study()
     task = tiny["designs"]["tasklens"]
@@ -55,7 +53,7 @@ def study(tmp_path, monkeypatch):
     labels = {"classes": ["cat", "dog"], "labels": [0, 1] * (IMAGES // 2)}
     write(outputs("images", study).test_labels, json.dumps(labels))
     for lens, correct in CORRECT.items():
-        shutil.copy(LENSES / f"{lens}.yaml", with_parent(outputs("design", study, lens=lens, seed=0).lens))
+        shutil.copy(HEADLINE / f"{lens}.yaml", with_parent(outputs("design", study, lens=lens, seed=0).lens))
         psf = torch.zeros(PSFS, 3, 5, 5)
         psf[..., 2, 2] = 1
         path = outputs("psfs", study, lens=lens, seed=0).psf

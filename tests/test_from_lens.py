@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import cooke_triplet, f64
+from examples import cooke_file, cooke_triplet, f64
 
 import tasklens
 from tasklens.cli.app import main
@@ -19,7 +19,6 @@ from tasklens.optics.analysis.focus import move_image_plane
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.io import lens_files, zemax
 from tasklens.optics.io.lens_files import LensFile
-from tasklens.optics.io.prescription import Prescription
 from tasklens.runtime.errors import InputError
 from tasklens.settings.specification import Constraints
 
@@ -29,14 +28,7 @@ STEPS, ONE_STEP = ({"descents": {"0": {"steps": steps}}, "rays": 64} for steps i
 
 def save(folder, **changes) -> LensFile:
     """The Cooke triplet, F/5 with its stop inside, as a Zemax file in `folder`."""
-    lens_file = Prescription(
-        cooke_triplet(),
-        fields=("angle_deg", ((0.0, 0.0), (0.0, 20.0))),
-        wavelengths_um=(0.6563, 0.5876, 0.4861),
-        primary=1,
-    )
-    zemax.write(folder / "mine.zmx", replace(lens_file, **changes))
-    return lens_files.read(folder / "mine.zmx", pixel_pitch_um=8.0)
+    return lens_files.read(cooke_file(folder / "mine.zmx", **changes), pixel_pitch_um=8.0)
 
 
 @pytest.fixture(scope="module")
@@ -185,17 +177,16 @@ SHORT = ("--set", "descents.0.steps=4", "--set", "rays=64")
 COMMAND = ("design", "--start", "mine.zmx", "--pixel-pitch", "8", *SHORT, "-o", "better.zmx")
 
 
-def test_the_command(tmp_path, monkeypatch, capsys):
+def test_the_command(here, capsys):
     """From a Zemax file to a Zemax file, by contrast; the result is readable, also by Optiland."""
-    monkeypatch.chdir(tmp_path)
-    file = save(tmp_path)
+    file = save(here)
     assert main([*COMMAND, "--method", "contrast", "--free", "curvature,thickness:1+3+8"]) == 0
     assert "design: contrast by descents, seed 0" in capsys.readouterr().out
-    lens = zemax.read(tmp_path / "better.zmx").lens
+    lens = zemax.read(here / "better.zmx").lens
     assert lens.media[0].abbe() == file.lens.media[0].abbe() and float(lens.thickness[0]) == 3.25896
     assert (lens.curvature != file.lens.curvature)[[0, 1, 2, 3, 5, 6]].all()
     fileio = pytest.importorskip("optiland.fileio")
-    optic = fileio.load_zemax_file(str(tmp_path / "better.zmx"))
+    optic = fileio.load_zemax_file(str(here / "better.zmx"))
     expected = figures(lens, file.view, 64)["efl_mm"]
     assert float(optic.paraxial.f2()) == pytest.approx(expected, rel=1e-3)
 
@@ -216,13 +207,12 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         (("--output", "mine_too.zmx"), "mine_too.agf: already exists; --force overwrites it"),
     ],
 )
-def test_impossible_options_are_refused(tmp_path, monkeypatch, capsys, arguments, words):
-    monkeypatch.chdir(tmp_path)
-    save(tmp_path)
-    (tmp_path / "mine_too.agf").touch()
+def test_impossible_options_are_refused(here, capsys, arguments, words):
+    save(here)
+    (here / "mine_too.agf").touch()
     method = () if "--method" in arguments else ("--method", "spot")
     assert main([*COMMAND, *method, *arguments]) == 2
-    assert words in capsys.readouterr().err and not (tmp_path / "better.zmx").exists()
+    assert words in capsys.readouterr().err and not (here / "better.zmx").exists()
 
 
 def test_what_was_assumed_is_a_warning_in_python(tmp_path):

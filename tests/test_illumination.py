@@ -2,28 +2,24 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy
 import pytest
 import torch
-from examples import f64, make_lens, random_lens
+from examples import HEADLINE, f64, make_lens, random_lens, view_at
 
 import tasklens
 from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import chief_points, clear_semi_diameters
 from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace
-from tasklens.optics.view import View
 
 DATA = Path(__file__).parent / "data"
-LENSES = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 
 
-def view_at(tangents) -> View:
-    """Fields along the diagonal of the sensor with these tangents, for a pinhole of 1 mm."""
-    tangents = f64(tangents)
-    return View(torch.stack([0.6 * tangents, 0.8 * tangents], -1), 1.0, (0.5893,), 9.0, 31)
+on_diagonal = partial(view_at, along=(0.6, 0.8))  # of the sensor
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +28,7 @@ def clear():
 
 
 @pytest.mark.parametrize(
-    "path, distance", [(DATA / "sharp_quadruplet.yaml", 20.0), (LENSES / "doublet-tasklens.yaml", math.inf)]
+    "path, distance", [(DATA / "sharp_quadruplet.yaml", 20.0), (HEADLINE / "doublet-tasklens.yaml", math.inf)]
 )
 def test_it_is_the_density_of_rays(path, distance):
     """Rays of a uniform object, counted in rings of the image, sharp or with a wide halo: within 1.5 %.
@@ -75,7 +71,7 @@ def test_a_mount_cuts_what_two_circles_do_not_share(shift):
     corner = max(0.0, (-d + a + hole) * (d + a - hole) * (d - a + hole) * (d + a + hole))
     overlap = (a * a * angle_a + hole * hole * angle_h - 0.5 * math.sqrt(corner)) / (math.pi * a * a)
     overlap = overlap if d > hole - a else 1.0
-    view = view_at([d / distance])
+    view = on_diagonal([d / distance])
     whole = relative_illumination(replace(lens, semi_diameter=f64([a, torch.inf, torch.inf])), view)
     share = relative_illumination(lens, view) / whole
     assert float(share) == pytest.approx(overlap, abs=4e-3)
@@ -83,10 +79,10 @@ def test_a_mount_cuts_what_two_circles_do_not_share(shift):
 
 def test_a_field_that_is_cut_off_is_dark_and_the_axis_is_not(clear):
     """The last surface passes only the axial beam: a far field is dark, a near field partly vignetted."""
-    used = clear_semi_diameters(clear, view_at([0.0]))
+    used = clear_semi_diameters(clear, on_diagonal([0.0]))
     semi = clear.semi_diameter.clone()
     semi[-1] = used[-1] * 1.001
-    view = view_at([0.0, 0.1, 0.6])
+    view = on_diagonal([0.0, 0.1, 0.6])
     cut = relative_illumination(replace(clear, semi_diameter=semi), view)
     whole = relative_illumination(clear, view)
     assert float(cut[0]) == pytest.approx(1, abs=1e-12)
@@ -97,4 +93,4 @@ def test_a_field_that_is_cut_off_is_dark_and_the_axis_is_not(clear):
 def test_a_lens_that_is_dark_on_the_axis_has_no_relative_illumination(clear):
     blocked = replace(clear, semi_diameter=clear.semi_diameter.clone())
     blocked.semi_diameter[2] = 0.0
-    assert relative_illumination(blocked, view_at([0.0, 0.1])).tolist() == [0, 0]
+    assert relative_illumination(blocked, on_diagonal([0.0, 0.1])).tolist() == [0, 0]

@@ -170,9 +170,8 @@ def test_a_rule_is_declared_in_one_piece(name):
         assert {*re.findall(r"{(\w+)", str(path))} == rule.wildcard_names
 
 
-def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(tmp_path, monkeypatch):
+def test_a_job_is_given_its_settings_its_files_and_a_checkpoint_of_its_own(here, monkeypatch):
     """The checkpoint is removed when the job ends; an old one of the same job with other settings is removed first."""
-    monkeypatch.chdir(tmp_path)
     study, lens = parse(tiny_study()), "singlet-end_to_end_from_imaging"
     job = job_of("design", study, lens=lens, seed=4)
     for path in job.reads:

@@ -2,18 +2,17 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy
 import pytest
 import torch
 import yaml
-from examples import cooke_triplet, f64, make_lens
+from examples import HEADLINE, cooke_file, cooke_triplet, f64, make_lens
 
 import tasklens
 from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.spots import chief_rays
-from tasklens.optics.io import lens_files, prescription, zemax
+from tasklens.optics.io import lens_files, prescription
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.spec_section import spec_of
 from tasklens.optics.lens import Lens
@@ -21,21 +20,14 @@ from tasklens.optics.view import View
 from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError
 
-PUBLISHED = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
 HEIGHTS = ((0.0, 0.0), (0.0, 18.2))
 BICONVEX = [{"radius": 50.0, "thickness": 5.0, "material": "N-BK7", "stop": True}, {"radius": -50.0}]
 
 
 def save(tmp_path, **changes) -> lens_files.LensFile:
     """The Cooke triplet as a Zemax file with other data, as it is used."""
-    lens_data = Prescription(
-        cooke_triplet(),
-        fields=("angle_deg", ((0.0, 0.0), (0.0, 20.0))),
-        wavelengths_um=(0.4861, 0.5876, 0.6563),
-        primary=1,
-    )
-    zemax.write(tmp_path / "lens.zmx", replace(lens_data, **changes))
-    return lens_files.read(tmp_path / "lens.zmx")
+    changes = {"wavelengths_um": (0.4861, 0.5876, 0.6563)} | changes
+    return lens_files.read(cooke_file(tmp_path / "lens.zmx", **changes))
 
 
 def with_aperture(surface: int, radius_mm: float) -> Lens:
@@ -156,7 +148,9 @@ def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     lens_data = prescription.with_system_data(Prescription(near, object_distance_mm=300.0), view)
     content = {"spec": spec_of(view), "figures": tasklens.analyse(near, view, rays=64)}
     lens_files.write(tmp_path / name, lens_data, content)
-    assert torch.equal(lens_files.read(tmp_path / name).lens.thickness, near.thickness)
+    file = lens_files.read(tmp_path / name)
+    assert torch.equal(file.lens.thickness, near.thickness) and not any("object" in remark for remark in file.remarks)
+    assert file.prescription.object_distance_mm == pytest.approx(300, rel=1e-12) == 1 / file.view.object_vergence
     with pytest.warns(UserWarning, match="object at 300 mm in the file: refocused for infinity"):
         far, _ = tasklens.load_lens(tmp_path / name, object_distance_mm=numpy.float32(math.inf))
     infinity = refocus(cooke_triplet(), replace(view, object_vergence=0.0))
@@ -166,7 +160,7 @@ def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
 
 def test_wavelengths_in_the_order_of_the_source_are_no_contradiction(tmp_path):
     """A lens that was improved from a Zemax file keeps the order of the file, here from blue to red."""
-    source = lens_files.read(PUBLISHED / "doublet-imaging2.yaml")
+    source = lens_files.read(HEADLINE / "doublet-imaging2.yaml")
     turned = replace(source.prescription, wavelengths_um=source.view.wavelengths_um[::-1], primary=1)
     lens_files.write(tmp_path / "lens.yaml", turned, source.content)
     file = lens_files.read(tmp_path / "lens.yaml")
@@ -177,7 +171,7 @@ def test_wavelengths_in_the_order_of_the_source_are_no_contradiction(tmp_path):
 def test_a_missing_catalogue_is_an_error_for_every_lens(tmp_path):
     """Also for a lens.yaml, which needs none."""
     with pytest.raises(FileError, match=r"mine\.agf: no such file"):
-        lens_files.read(PUBLISHED / "doublet-imaging2.yaml", [tmp_path / "mine.agf"])
+        lens_files.read(HEADLINE / "doublet-imaging2.yaml", [tmp_path / "mine.agf"])
 
 
 @pytest.mark.parametrize(
@@ -196,7 +190,7 @@ def test_a_missing_catalogue_is_an_error_for_every_lens(tmp_path):
 )
 def test_an_edited_file_that_contradicts_itself_is_refused(tmp_path, changes, words):
     """Copies of the specification, and misspelled keys, would otherwise have no effect; other keys are notes."""
-    content = yaml.safe_load((PUBLISHED / "doublet-imaging2.yaml").read_text()) | {"purpose": "a note"}
+    content = yaml.safe_load((HEADLINE / "doublet-imaging2.yaml").read_text()) | {"purpose": "a note"}
     path = tmp_path / "lens.yaml"
     path.write_text(yaml.safe_dump(content))
     assert lens_files.read(path).content["purpose"] == "a note"

@@ -18,12 +18,11 @@ from tasklens.runtime.files import read_tensors
 
 
 @pytest.fixture
-def folder(tmp_path, monkeypatch):
-    """An empty working folder with an image of random colours."""
-    monkeypatch.chdir(tmp_path)
+def folder(here):
+    """The current folder, with an image of random colours."""
     values = numpy.random.default_rng(0).integers(0, 256, (60, 80, 3), dtype=numpy.uint8)
     Image.fromarray(values).save("image.png")
-    return tmp_path
+    return here
 
 
 @pytest.mark.slow

@@ -12,7 +12,6 @@ from tasklens.materials import catalogues
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.materials.material import C_LINE, D_LINE, F_LINE, G_LINE, Material, from_definitions, model_glass
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import FileError
 
 CATALOGUES = {path.stem: catalogues.read(path) for path in reference_files("glass/*.AGF")}
 NAMES = tuple(yaml.safe_load(PLASTICS.read_text()))
@@ -164,32 +163,6 @@ def test_numbers_that_yaml_takes_for_text_are_numbers():
     entry = yaml.safe_load("{formula: conrady, coefficients: [1.5, 1e-2, 2e-3], range_um: [0.4, 0.8]}")
     assert entry["coefficients"][1] == "1e-2"
     assert from_definitions({"X": entry}, "here")["X"].coefficients == (1.5, 0.01, 0.002)
-
-
-@pytest.mark.parametrize(
-    "change, words",
-    [
-        ({"formula": "magic"}, ["magic", "schott"]),
-        ({"coefficients": [1.0, 2.0]}, ["3 coefficients", "2"]),
-        ({"coefficients": [1.5, 0.01, "1.2.3"]}, ["coefficients", "1.2.3"]),
-        ({"coefficients": 3}, ["list", "3"]),
-        ({"range_um": [0.8, 0.4]}, ["rising", "0.8"]),
-        ({"range_um": [0.4]}, ["two wavelengths"]),
-        ({"sauce": "x"}, ["keys", "'sauce' is unknown"]),
-        ({"range_um": [334, 2325]}, ["range_um", "seem to be nm"]),
-    ],
-)
-def test_a_wrong_definition_is_refused_with_the_reason(change, words):
-    entry = {"formula": "conrady", "coefficients": [1.5, 0.01, 0.002], "range_um": [0.4, 0.8]}
-    with pytest.raises(FileError) as error:
-        from_definitions({"MINE": entry | change}, "study")
-    assert all(word in str(error.value) for word in ["study", "MINE", *words]), error.value
-
-
-@pytest.mark.parametrize("content", [None, {"X": None}, {3: {}}, {"air": builtin("COC").definition()}])
-def test_what_is_no_definition_is_refused(content):
-    with pytest.raises(FileError, match="study"):
-        from_definitions(content, "study")
 
 
 def test_unknown_plastic_and_wavelength_outside_the_fit_raise():

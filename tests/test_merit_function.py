@@ -85,9 +85,8 @@ def write_results(study, light: float) -> None:
 
 
 @pytest.mark.parametrize("outside_window, light", [("veil", 1.0), ("renormalise", 0.5)])
-def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch, outside_window, light):
+def test_the_table_says_what_each_classifier_wants(here, outside_window, light):
     """The planted bands; all of the variance; the other classifier ranked a little differently; a figure."""
-    monkeypatch.chdir(tmp_path)
     study = parse(tiny_study() | {"capture": {"outside_window": outside_window}})
     write_results(study, light)
     paths = finish("merit_function_table", study)
@@ -101,8 +100,7 @@ def test_the_table_says_what_each_classifier_wants(tmp_path, monkeypatch, outsid
     assert paths.figure.read_bytes()[:8] == b"\x89PNG\r\n\x1a\n" and "small" in paths.md.read_text()
 
 
-def test_too_few_lenses_make_no_merit_function(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_too_few_lenses_make_no_merit_function(here):
     study = parse(tiny_study())
     settings = MeritFunctionJob.of(study)
     few = settings.model_copy(update={"lenses": settings.lenses[:2]})

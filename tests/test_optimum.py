@@ -18,7 +18,7 @@ from tasklens.optics.analysis.spots import trace_fields
 from tasklens.settings.design_settings import DescentSettings
 from tasklens.settings.specification import Spec
 from tasklens.settings.tolerance_settings import Grade
-from tasklens.show.optimality import Optimum, optimum
+from tasklens.show.optimality import Optimum
 
 PART = DescentSettings(steps=1, pixels=(5, 5))
 
@@ -104,11 +104,3 @@ def test_steps_are_compared_on_other_images_than_those_of_the_gradient(feasible,
     of_steps = [set().union(*turns[k : k + 4]) for k in range(0, len(turns), 4)]  # images take four sets of fields
     assert len(of_steps) == 1 + 3 + 4 and all(judging == of_steps[0] for judging in of_steps)
     assert of_gradient.isdisjoint(of_steps[0]) and of_gradient | of_steps[0] == set(range(12))
-
-
-def test_an_optimum_is_reached_within_two_errors_and_what_is_negligible():
-    """As read from a lens file; with a standard error of 0.01, 0.022 is the largest gain of an optimum."""
-    for gain, reached in ((-0.5, True), (0.0219, True), (0.0221, False), (5.0, False)):
-        test = {"gain": gain, "error": 0.01, "step_um": 2.0, "along": "gradient", "images": 96}
-        assert optimum({"local_optimum": test}).reached is reached
-    assert optimum({"figures": {}}) is None  # a lens by rays alone has no test

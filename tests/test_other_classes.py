@@ -1,6 +1,5 @@
 """Photographs of other classes through the lenses of a study."""
 
-import importlib.util
 from pathlib import Path
 
 import numpy
@@ -8,7 +7,7 @@ import pandas
 import pytest
 import timm
 import torch
-from examples import changed, lens_file, tiny_study, write
+from examples import changed, lens_file, load_script, tiny_study, write
 from PIL import Image
 
 from tasklens.optics.io import psf_files
@@ -50,21 +49,18 @@ def nearest_centroid(folder: Path) -> torch.nn.Module:
     return network
 
 
-def test_a_perfect_lens_is_read_as_sharp_photographs_are(tmp_path, monkeypatch):
+def test_a_perfect_lens_is_read_as_sharp_photographs_are(here, monkeypatch):
     """A PSF of one point changes no answer; a PSF without light leaves a veil, which says nothing."""
-    script = Path(__file__).parents[1] / "docs/results/other_classes.py"
-    spec = importlib.util.spec_from_file_location("other_classes", script)
-    spec.loader.exec_module(other_classes := importlib.util.module_from_spec(spec))
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(other_classes, "FOLDER", tmp_path / "docs")
+    other_classes = load_script(Path(__file__).parents[1] / "docs/results/other_classes.py")
+    monkeypatch.setattr(other_classes, "FOLDER", here / "docs")
     monkeypatch.setattr("sys.argv", ["other_classes.py", "tiny", "others"])
-    photographs(tmp_path / "others")
+    photographs(here / "others")
     config = changed(tiny_study(), "classifiers.small.outputs", "all_imagenet")
-    config = changed(config, "images.folder", str(tmp_path / "others"))
+    config = changed(config, "images.folder", str(here / "others"))
     write(Path("results/tiny/study.yaml"), loading.dump(loading.parse(config)))
     weights = Path("results/tiny/classifiers/reference/small.safetensors")
     weights.parent.mkdir(parents=True)
-    network = nearest_centroid(tmp_path / "others")
+    network = nearest_centroid(here / "others")
     write_tensors(weights, network.state_dict(), {})
     for (lens, _, _), light in zip(KEYS, (1.0, 0.0), strict=True):
         psf = torch.zeros(9, 3, 11, 11)

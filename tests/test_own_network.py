@@ -1,13 +1,12 @@
 """A lens designed in Python for the user's module, images and loss."""
 
 import copy
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 import timm
 import torch
-from examples import random_images, small_network
+from examples import HEADLINE, random_images, small_network, trained_resnet
 from torch import nn
 from torch.nn.functional import cross_entropy, mse_loss
 from torch.utils.data import DataLoader, Subset
@@ -23,10 +22,9 @@ from tasklens.recognition.dataset import ImageDataset
 from tasklens.recognition.sharp import check_accuracy
 from tasklens.recognition.training import fit
 from tasklens.runtime.errors import InputError
-from tasklens.runtime.files import write_tensors
 from tasklens.settings.network_settings import TrainingSettings
 
-LENS = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses" / "doublet-imaging3.yaml"
+LENS = HEADLINE / "doublet-imaging3.yaml"
 PLATES = {"start": "flat", "batch_size": 4, "rays": 16}
 QUICK = PLATES | {"descents": [{"steps": 2, "pixels": [20, 5]}, {"steps": 2, "pixels": [5, 1]}]}
 SPEC = {"kernel_size": 11}
@@ -259,11 +257,8 @@ def test_a_network_that_cannot_be_told_from_guessing_is_refused(images):
 
 def test_pairs_of_images_with_a_network_by_name(images, tmp_path):
     """It has as many outputs as these images have classes."""
-    torch.manual_seed(0)
-    classifier = Classifier(timm.create_model("test_resnet", num_classes=3))
-    fit(classifier, images, TrainingSettings(epochs=10, learning_rate=1e-2, batch_size=8), 0, "test")
-    write_tensors(tmp_path / "mine.safetensors", classifier.network.state_dict(), {})
-    by_name = {"model": "test_resnet", "weights": str(tmp_path / "mine.safetensors")}
+    weights = trained_resnet(tmp_path / "mine.safetensors", images, epochs=10, batch_size=8)
+    by_name = {"model": "test_resnet", "weights": str(weights)}
     lens, _, _ = tasklens.design_lens("task", ["COC"], images=images, network=by_name, settings=QUICK, **SPEC)
     assert lens.curvature.any()
     with pytest.raises(InputError, match="network: joint trains it with the lens; give"):

@@ -186,9 +186,8 @@ def test_who_tolerates_more(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_study_makes_the_table_and_the_page_of_each_lens(tmp_path, monkeypatch):
+def test_a_study_makes_the_table_and_the_page_of_each_lens(here):
     """From the stored lenses, PSFs and classifiers; the page names errors and tolerances for a drawing."""
-    monkeypatch.chdir(tmp_path)
     config = tiny_study() | {"tolerances": {"lenses": 10, "images": 10, "designs": ["imaging1", "imaging2"]}}
     study = parse(config)
     finish("images", study)

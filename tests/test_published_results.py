@@ -1,17 +1,15 @@
 """The programs of docs/results: they publish tables, recompute intervals, decompose gains and fill pages."""
 
-import importlib.util
 import math
 import re
 import shutil
 from functools import cache
 from pathlib import Path
-from types import ModuleType
 
 import pandas
 import pytest
-from examples import write
-from random_answers import PROBABILITY, RandomAnswers, claim
+from examples import load_script, write
+from random_answers import PROBABILITY, claim, random_answers
 
 from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_IMAGING1, Claims
 from tasklens.study.report import answers_file
@@ -21,15 +19,9 @@ RESULTS = ROOT / "docs/results"
 SMALLEST = RESULTS / "replication/images.seed=16"  # one seed
 
 
-def script(name: str) -> ModuleType:
-    """A program of docs/results as a module."""
-    spec = importlib.util.spec_from_file_location(name, RESULTS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-recompute, decomposition, pages, publish = map(script, ("recompute", "decomposition", "pages", "publish"))
+recompute, decomposition, pages, publish = (
+    load_script(RESULTS / f"{name}.py") for name in ("recompute", "decomposition", "pages", "publish")
+)
 DOUBLETS = Claims(
     study="doublets",
     claims=(claim(OVER_IMAGE_QUALITY, *(f"doublet-{name}" for name in reversed(PROBABILITY))),),
@@ -138,7 +130,7 @@ def test_every_number_in_a_table_of_a_page_has_a_source(page):
 def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     """Each difference is that of the accuracies of two steps, with and without the corner, whose share is a ninth."""
     (tmp_path / "doublets").mkdir()
-    answers_file.write(tmp_path / "doublets/verdicts.npz", DOUBLETS, RandomAnswers({}, {}))
+    answers_file.write(tmp_path / "doublets/verdicts.npz", DOUBLETS, random_answers(DOUBLETS))
     monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
     monkeypatch.setattr("sys.argv", ["decomposition.py", "doublets"])
     assert decomposition.main() == 0
@@ -157,7 +149,7 @@ def test_the_decomposition_adds_up(tmp_path, monkeypatch):
     least_squares = steps.loc["least squares", "accuracy"]
     assert spots["difference"].tolist() == pytest.approx((spots["accuracy"] - least_squares).tolist())
     assert len(spots) == 5  # the squared error and four kinds of task
-    answers = RandomAnswers({}, {})
+    answers = random_answers(DOUBLETS)
     corner = [100 * answers.correct("doublet-tasklens", "small", seed).iloc[:, -1].mean() for seed in (0, 1)]
     task = "task, from flat plates"
     assert (9 * steps.loc[task, "accuracy"] - sum(corner) / 2) / 8 == pytest.approx(inner.loc[task, "accuracy"])
@@ -180,11 +172,8 @@ def test_the_published_decomposition_is_that_of_the_published_answers(monkeypatc
 
 def test_without_lenses_for_image_quality_the_task_is_compared_with_least_squares(tmp_path):
     path = tmp_path / "verdicts.npz"
-    answers_file.write(
-        path,
-        Claims(study="s", claims=(claim(OVER_IMAGING1, "doublet-tasklens", "doublet-imaging2"),), seeds=(0,)),
-        RandomAnswers({}, {}),
-    )
+    claims = Claims(study="s", claims=(claim(OVER_IMAGING1, "doublet-tasklens", "doublet-imaging2"),), seeds=(0,))
+    answers_file.write(path, claims, random_answers(claims))
     table = decomposition.rows_of_file("s", path).set_index("step")
     assert {*table.loc["task, from flat plates", "compared_with"]} == {"least squares"}
 
@@ -195,7 +184,7 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
     for folder, of_folder in {**seeds, "both": DOUBLETS.seeds}.items():
         (tmp_path / folder).mkdir(parents=True)
         claims = DOUBLETS.model_copy(update={"seeds": of_folder})
-        answers_file.write(tmp_path / folder / "verdicts.npz", claims, RandomAnswers({}, {}))
+        answers_file.write(tmp_path / folder / "verdicts.npz", claims, random_answers(claims))
     monkeypatch.setattr(decomposition, "FOLDER", tmp_path)
     monkeypatch.setattr(decomposition, "rows_of_file", cache(decomposition.rows_of_file))
     keys = ["fields", "step"]
@@ -211,7 +200,7 @@ def test_fresh_images_are_one_study_with_an_interval_over_them(tmp_path, monkeyp
     assert p_of_one <= fresh.loc[step, "p"] <= 4 * p_of_one and fresh["p"].count() == 4
 
 
-def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
+def test_published_files_replace_those_of_before(here, monkeypatch):
     """Tables, answers and the lenses of the first seed, also of the points of a sweep; a page by hand remains."""
     contents = {"tables/table1.csv": "new", "tables/answers.csv": "", "effort.md": "", "answer.svg": ""}
     contents |= {f"lenses/doublet-a/seed{seed}/{name}": str(seed) for seed in (1, 0) for name in ("lens.yaml", "a.zmx")}
@@ -224,26 +213,25 @@ def test_published_files_replace_those_of_before(tmp_path, monkeypatch):
     }
     before = {"published/known/README.md": "page", "published/known/old.csv": ""}
     for name, content in ({f"results/known/{name}": content for name, content in contents.items()} | before).items():
-        write(tmp_path / name, content)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(publish, "FOLDER", tmp_path / "published")
+        write(here / name, content)
+    monkeypatch.setattr(publish, "FOLDER", here / "published")
     monkeypatch.setattr("sys.argv", ["publish.py", "known", "--lenses"])
     publish.main()
-    files = [path for path in (tmp_path / "published/known").rglob("*") if path.is_file()]
-    names = {str(path.relative_to(tmp_path / "published/known")) for path in files}
+    files = [path for path in (here / "published/known").rglob("*") if path.is_file()]
+    names = {str(path.relative_to(here / "published/known")) for path in files}
     tables = {"table1.csv", "effort.md", "answer.svg", "gain=2/table1.csv"}
     assert names == {"README.md", "lenses/doublet-a.yaml", "lenses/a.zmx"} | tables
-    assert (tmp_path / "published/known/lenses/doublet-a.yaml").read_text() == "1"
-    (tmp_path / "results/known/study.yaml").write_text("seeds: [2]")
+    assert (here / "published/known/lenses/doublet-a.yaml").read_text() == "1"
+    (here / "results/known/study.yaml").write_text("seeds: [2]")
     with pytest.raises(SystemExit, match="no Zemax files of seed 2; the published lenses remain"):
         publish.main()
-    assert (tmp_path / "published/known/lenses/doublet-a.yaml").exists()
+    assert (here / "published/known/lenses/doublet-a.yaml").exists()
     monkeypatch.setattr("sys.argv", ["publish.py", "unknown"])
     with pytest.raises(SystemExit):
         publish.main()
     monkeypatch.setattr("sys.argv", ["publish.py", "known", "--to", "other", "--elements", "doublet"])
     publish.main()
-    assert (tmp_path / "published/other/table1.csv").read_text() == "of doublets"
+    assert (here / "published/other/table1.csv").read_text() == "of doublets"
 
 
 def test_the_tables_of_pages_are_those_of_their_files(monkeypatch):

@@ -10,8 +10,7 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import measurement, random_images, write_photographs
-from safetensors.torch import load_file
+from examples import measurement, random_images, trained_resnet, write_photographs
 from typed_lenses import singlet
 
 import tasklens
@@ -20,12 +19,8 @@ from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import imported
 from tasklens.optics.view import view_of_spec
-from tasklens.recognition.classifiers import Classifier
-from tasklens.recognition.training import fit
-from tasklens.runtime.errors import InputError
 from tasklens.runtime.files import FileError, read_tensors, write_tensors
 from tasklens.settings.lens_entries import ImportedLens
-from tasklens.settings.network_settings import TrainingSettings
 from tasklens.settings.specification import Spec
 from tasklens.study.run import ranking_run as pipeline
 from tasklens.study.run import screening
@@ -55,10 +50,7 @@ def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("rank")
     images = random_images(60, 32, 3, seed=0)
     write_photographs(folder / "photographs", images, ("cat", "dog", "owl"))
-    torch.manual_seed(0)
-    network = Classifier(timm.create_model("test_resnet", num_classes=3))
-    fit(network, images, TrainingSettings(epochs=5, learning_rate=1e-2, batch_size=10), 0, "test")
-    write_tensors(folder / "mine.safetensors", network.network.state_dict(), {})
+    trained_resnet(folder / "mine.safetensors", images, epochs=5, batch_size=10)
     (folder / "lenses").mkdir()
     for name, lens in {
         "sharp": singlet(),
@@ -181,25 +173,6 @@ def test_names_of_lenses_in_a_study(tmp_path):
     paths = [tmp_path / "a" / "Lens 1.zmx", tmp_path / "b" / "Lens 1.zmx", tmp_path / "c.zmx"]
     assert screening._name(paths[0], []) == "lens_1" and screening._name(paths[1], ["lens_1"]) == "lens_1_2"
     assert screening._title(paths[2], paths) == "c" and screening._title(paths[0], paths).endswith("a/Lens 1.zmx")
-
-
-def test_ranking_in_python_agrees_with_the_command(here):
-    """The same accuracies of the same photographs, with a module as the network."""
-    network = timm.create_model("test_resnet", num_classes=3)
-    network.load_state_dict(load_file("mine.safetensors"))
-    lenses = {name: tasklens.load_lens(f"lenses/{name}.yaml") for name in ("sharp", "Fast.2")}
-    result = tasklens.rank(lenses, "photographs", network, size=32, max_images=30)
-    assert set(result.table["lens"]) == set(lenses) and (result.table["accuracy"] > 40).all()
-    assert "<table" in result._repr_html_() and result.sentences
-    result.save("ranking.html", answer=["Mine."])
-    assert "Mine." in (here / "ranking.html").read_text()
-    pairs = [(torch.rand(3, 32, 32), 0), (torch.rand(3, 32, 32), 1)]
-    with pytest.warns(UserWarning, match="rank: the network recognises .* too few images to tell it from guessing"):
-        assert len(tasklens.rank(lenses, pairs, network).correct["sharp"]) == 2
-    with pytest.raises(InputError, match="returns a tensor"):
-        tasklens.rank(lenses, pairs, torch.nn.Conv2d(3, 2, 3))
-    with pytest.raises(InputError, match="images: number 1: expected a pair"):
-        tasklens.rank(lenses, [pairs[0], 3], network)
 
 
 def test_lenses_are_screened_for_a_sensor(here, capsys):

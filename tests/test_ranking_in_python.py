@@ -58,6 +58,7 @@ def test_outputs_of_imagenet_in_python():
     "network, words",
     [
         (Answers(lambda images: (images.mean((2, 3)), None)), "returns a tuple; expected a tensor of logits"),
+        (torch.nn.Conv2d(3, 2, 3), "returns a tensor"),
         (torch.mean, "expected a torch.nn.Module, got builtin"),
         (Answers(lambda images: images.tolist().index(3)), "fails for images"),
         (torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(7, 2)), r"fails for images \(3, 32, 32\): .*mat1"),
@@ -77,7 +78,7 @@ def test_names_of_lenses_are_text_on_a_page():
     assert "<b>a&b" not in tasklens.rank({"<b>a&b": singlet()}, pairs, network, rays=64)._repr_html_()
 
 
-def test_a_printed_ranking_is_its_table():
+def test_a_printed_ranking_is_its_table(tmp_path):
     pairs = [(torch.full((3, 32, 32), 0.3 * k), k) for k in range(3)] * 10
     brightness = Answers(lambda images: -(images.mean((2, 3)) - 0.3 * torch.arange(3.0)).square())
     result = tasklens.rank({"mine": singlet(), "fast": singlet(f_number=2.8)}, pairs, brightness, rays=64)
@@ -85,3 +86,6 @@ def test_a_printed_ranking_is_its_table():
         heading, *rows = text.splitlines()
         assert "accuracy [%]" in heading and {row.split()[0] for row in rows} <= {"mine", "fast", "1"}
         assert len(rows) == 2 and "svg" not in text
+    assert "<table" in result._repr_html_() and result.sentences
+    result.save(tmp_path / "ranking.html", answer=["Mine."])
+    assert "Mine." in (tmp_path / "ranking.html").read_text()

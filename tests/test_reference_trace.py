@@ -9,7 +9,6 @@ from examples import WAVELENGTHS, assert_close, cooke_triplet, f64, make_lens, p
 
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays, RayStatus, launch
-from tasklens.optics.surface import Surface
 from tasklens.optics.tracing.reference_tracer import reference_trace
 from tasklens.optics.tracing.trace import trace
 
@@ -63,19 +62,6 @@ def test_snells_law(indices):
         assert ((direction(behind) * normal).sum(-1) > 0).all()
         assert_close(direction(behind).square().sum(-1), 1.0, 2e-15)
         assert torch.equal(position(behind), position(before))
-
-
-def test_statuses_of_rays_at_one_surface():
-    """Missed: stays. Outside: on the surface. Reflected: on the surface and not turned. Lost before: not touched."""
-    ball = Surface(1.0, semi_diameter=0.9)
-    start = parallel_rays([0.5, 1.5, 0.95, 0.8])
-    start = replace(start, status=torch.tensor([[0, 0, 0, RayStatus.MISSED]], dtype=torch.int8))
-    rays = ball.intersect(start, 1.6)
-    assert rays.status.tolist() == [[RayStatus.OK, RayStatus.MISSED, RayStatus.VIGNETTED, RayStatus.MISSED]]
-    assert_close(rays.z, [[1 - 0.75**0.5, 0.0, 1 - (1 - 0.95**2) ** 0.5, 0.0]], 1e-15)
-    reflected = Surface(-1.0).refract(Surface(-1.0).intersect(parallel_rays([0.6, 0.7])), 1.6, 1.0)  # 1 / 1.6 = 0.625
-    assert reflected.status.tolist() == [[RayStatus.OK, RayStatus.TOTAL_INTERNAL_REFLECTION]]
-    assert direction(reflected)[0, 1].tolist() == [0.0, 0.0, 1.0]
 
 
 # ---- whole lenses, the fast tracer compared with the reference

@@ -27,11 +27,10 @@ OUTPUTS = {DESIGN: [LENS], TUNE: [TABLE]}
 
 
 @pytest.fixture
-def place(tmp_path, monkeypatch):
+def place(here):
     """A folder with the results of a study that has just begun: its file alone."""
-    monkeypatch.chdir(tmp_path)
     write(f"{FOLDER}/study.yaml", dump(STUDY))
-    return tmp_path
+    return here
 
 
 def benchmark(label: str, seconds: float) -> None:

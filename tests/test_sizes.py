@@ -1,9 +1,10 @@
-"""Budgets of code and pages: whoever raises one decides that the program grows."""
+"""Budgets of code, pages and data of the tests: whoever raises one decides that the program grows."""
 
 import re
 from pathlib import Path
 
 import pytest
+from reference_files import SHIPPED
 
 ROOT = Path(__file__).parents[1]
 BUDGETS = {  # by unit and files; the aim of the next version in parentheses
@@ -33,3 +34,10 @@ def test_sizes_keep_their_budgets(unit, files):
     }
     budget = BUDGETS[unit, files]
     assert 0.9 * budget < counts[unit] <= budget, f"{counts[unit]} {unit} in {files}; the budget is {budget}"
+
+
+def test_data_of_the_tests_are_small_and_have_a_source():
+    files = [path for path in SHIPPED.rglob("*") if path.is_file()]
+    sources = (SHIPPED / "SOURCES.md").read_text()
+    assert [path.name for path in files if path.name != "SOURCES.md" and f"{path.name}`" not in sources] == []
+    assert sum(path.stat().st_size for path in files) < 600_000

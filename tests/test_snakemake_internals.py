@@ -27,21 +27,20 @@ def test_the_settings_of_a_run():
 
 
 @pytest.mark.slow
-def test_the_jobs_of_a_run(tmp_path, monkeypatch):
+def test_the_jobs_of_a_run(here):
     """Labels, needs and settings before a run; outputs and the settings that made them after it."""
-    monkeypatch.chdir(tmp_path)
     study = one_lens()
     lens = "results/tiny/lenses/singlet-imaging1/seed0/lens.yaml"
 
     def jobs(target: str) -> dict:
-        assert forked(tmp_path, study, "--dry-run", target, "--config", f"plan={tmp_path}/jobs.json")[0] == 0
-        return {job["label"]: job for job in planning.json.loads((tmp_path / "jobs.json").read_text())}
+        assert forked(here, study, "--dry-run", target, "--config", f"plan={here}/jobs.json")[0] == 0
+        return {job["label"]: job for job in planning.json.loads((here / "jobs.json").read_text())}
 
     before = jobs("table1")
     assert all(job["remains"] and not job["outputs"] and job["made_with"] is None for job in before.values())
     needs = before["fine_tune/singlet-imaging1-small-seed0"]["needs"]
     assert sorted(needs) == ["images", "psfs/singlet-imaging1-seed0", "reference/small"]
-    assert snakemake(tmp_path, study, lens).returncode == 0
+    assert snakemake(here, study, lens).returncode == 0
     design = jobs("table1")["design/singlet-imaging1-seed0"]
     assert not design["remains"] and lens in design["outputs"]
     assert design["made_with"] == design["settings"] == before["design/singlet-imaging1-seed0"]["settings"]

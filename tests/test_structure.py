@@ -9,8 +9,7 @@ from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
-from our_modules import MODULES, ROOT, name_of
-from rules import workflow
+from rules import MODULES, ROOT, name_of, workflow
 
 from tasklens.study.run import digest
 
@@ -65,13 +64,6 @@ def test_imports_run_downward():
         for name in imported:
             below, other = room_of(name)
             assert below < floor or other == room, f"{module} imports {name}"
-
-
-def test_the_library_reports_its_own_errors():
-    for path in MODULES:
-        module = name_of(path)
-        if not module.startswith(("tasklens.study", "tasklens.cli")):
-            assert "StudyError" not in path.read_text(), module
 
 
 def test_modules_of_a_room_do_not_import_in_a_circle():

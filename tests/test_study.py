@@ -109,19 +109,18 @@ def test_editors_find_mistakes(validator):
         assert not validator.is_valid(study | {"images": {"sise": 64}})
 
 
-def test_a_study_extends_another_one(tmp_path, monkeypatch):
+def test_a_study_extends_another_one(here):
     """By its name: in the folder of its file, in `config`, among those that we ship. The file wins, key by key."""
-    monkeypatch.chdir(tmp_path)
     study = changed(tiny_study(), "elements.doublet", ["COC", "OKP4"])
-    write(tmp_path / "own" / "base.yaml", yaml.safe_dump(study | {"name": "base"}))
-    write(tmp_path / "own" / "middle.yaml", "{name: middle, extends: base, seeds: [3], elements: {doublet: null}}")
+    write(here / "own" / "base.yaml", yaml.safe_dump(study | {"name": "base"}))
+    write(here / "own" / "middle.yaml", "{name: middle, extends: base, seeds: [3], elements: {doublet: null}}")
     top = "{name: top, extends: middle, designs: {tasklens: {descents: {1: {steps: 7}}}}}"
-    write(tmp_path / "own" / "any.yaml", top)
-    top_study = load(tmp_path / "own" / "any.yaml")
+    write(here / "own" / "any.yaml", top)
+    top_study = load(here / "own" / "any.yaml")
     assert (top_study.name, top_study.seeds, set(top_study.elements)) == ("top", (3,), {"singlet"})
     assert [descent.steps for descent in top_study.designs["tasklens"].descents] == [2, 7, 1, 1]
-    assert load(*(tmp_path / "own" / f"{name}.yaml" for name in ("base", "middle", "any"))) == top_study
-    (tmp_path / "own").rename(tmp_path / "config")
+    assert load(*(here / "own" / f"{name}.yaml" for name in ("base", "middle", "any"))) == top_study
+    (here / "own").rename(here / "config")
     assert parse(yaml.safe_load(top)) == top_study
     assert parse({"name": "mine", "extends": "smoke"}).designs == load(STUDIES["smoke.yaml"]).designs
 

@@ -1,4 +1,4 @@
-"""A study names its fields: wrong sets are refused, only some jobs see them, and PSFs are stored at each."""
+"""A study names its fields: wrong sets are refused, and PSFs are stored at each."""
 
 import itertools
 from pathlib import Path
@@ -7,7 +7,7 @@ import pytest
 import torch
 from designs import GRADED, OWN, SELECTED
 from examples import changed, lens_and_view, lens_file, tiny_study
-from rules import finish, slices
+from rules import finish
 
 from tasklens.design.problem import Problem
 from tasklens.fields import CORNER, PAPER
@@ -72,31 +72,6 @@ def test_fields_of_a_variant_are_checked_too():
         assert words in str(error.value) and "\n" not in str(error.value)
 
 
-@pytest.fixture(scope="module")
-def jobs_before() -> dict:
-    return slices(tiny_study())
-
-
-@pytest.mark.parametrize(
-    "key, value, reads",
-    [
-        ("fields.design", "paper", {"design", "fine_tune"}),  # PSFs at the nine are stored in any case
-        ("fields.design", LIST, {"design", "psfs", "fine_tune"}),
-        ("fields.grading", LIST, {"psfs", "frames", "production", "psf_tail_table"}),  # others read the PSFs
-        ("fields.nine", True, {"fine_tune"}),
-    ],
-    ids=["paper", "own", "grading", "nine"],
-)  # fmt: skip
-def test_jobs_that_see_the_fields(jobs_before, key, value, reads):
-    """Of lenses by gradient alone if the losses change; sharp images have no fields."""
-    before, after = jobs_before, slices(changed(tiny_study(), key, value))
-    assert before.keys() == after.keys()
-    touched = {job for job in before if before[job] != after[job]} - {("report_page",)}
-    assert {job[0] for job in touched} == reads
-    assert not any(job[1:2] == ("sharp",) for job in touched)
-    assert key != "fields.design" or not any(job[0] == "design" and job[1].endswith("imaging2") for job in touched)
-
-
 def test_metrics_of_each_set():
     """Designs for some fields are graded there, too; if the nine are all there is, not twice."""
     default, paper = FieldSettings(), FieldSettings.model_validate("paper")
@@ -121,11 +96,6 @@ def test_the_papers_fields_are_those_of_the_specification():
     (validated,) = posed.views_of_validation
     assert torch.equal(validated.fields, view.fields)
     assert lens_design(small(), "doublet-tasklens", 0).fields is None
-
-
-@pytest.fixture
-def here(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
 
 
 def stored(study: Study, lens: str = "singlet-imaging1") -> tuple[Lens, Path]:

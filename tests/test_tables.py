@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import pandas
 import pytest
 import yaml
-from examples import changed, lens_file, measurement, measurements_of, result, tiny_study, write
+from examples import changed, lens_file, measurements_of, result, tiny_study, write
+from study_results import write_measurement
 
 from tasklens.settings.names import SHARP, measured_name
 from tasklens.show import headings
@@ -67,24 +68,19 @@ def results(folder, monkeypatch):
 def write_results(study) -> None:
     spread = [k - (FIELDS - 1) / 2 for k in range(FIELDS)]
 
-    def metrics(lens, measured_name, seed, accuracy, psnr):
-        rows = [("accuracy", k, accuracy + s) for k, s in enumerate(spread)]
-        for name, lost in (("psnr_db", 0), ("worst_psnr_db", 8)):
-            rows += [(name, k, psnr - lost + s) for k, s in enumerate(spread)] if psnr else []
-        rows += [("minival_accuracy", k, 2.0 - seed) for k in range(FIELDS)]
-        rows += [("chance", "", CHANCE), ("parameters_m", "", 0.5)]
-        loss = (100 - accuracy) / 100
-        frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
-        write(measurement("tiny", lens, measured_name, seed), frame.to_csv(index=False))
-        losses = {"image": range(4), "label": ["cat"] * 4} | {f"field{k}": [loss] * 4 for k in range(FIELDS)}
-        write(measurement("tiny", lens, measured_name, seed, "-frozen"), pandas.DataFrame(losses).to_csv(index=False))
+    def measure(lens, name, seed, accuracy, psnr):
+        metrics = {"accuracy": [accuracy + s for s in spread], "minival_accuracy": [2.0 - seed] * FIELDS}
+        metrics |= {"chance": CHANCE, "parameters_m": 0.5}
+        if psnr:
+            metrics |= {"psnr_db": [psnr + s for s in spread], "worst_psnr_db": [psnr - 8 + s for s in spread]}
+        write_measurement("tiny", lens, name, seed, metrics, frozen=[[(100 - accuracy) / 100] * FIELDS] * 4)
 
     for seed in study.seeds:
         for classifier in study.classifiers:
-            metrics(SHARP, classifier, seed, REFERENCE, None)
+            measure(SHARP, classifier, seed, REFERENCE, None)
             for lens, accuracy in ACCURACY.items():
-                metrics(lens, classifier, seed, accuracy + 2 * seed, 20.0)
-                metrics(lens, measured_name(classifier, True), seed, accuracy + 5 + 2 * seed, 25.0)
+                measure(lens, classifier, seed, accuracy + 2 * seed, 20.0)
+                measure(lens, measured_name(classifier, True), seed, accuracy + 5 + 2 * seed, 25.0)
         for lens in ACCURACY:
             inside = 0.3 if lens == "doublet-end_to_end_from_imaging" and seed == 1 else 0.9
             means = {"rms_spot_um": 12.0, "core_radius_um": 3.0, "energy_in_window": inside}

@@ -43,9 +43,8 @@ def test_splits_have_other_images():
     assert torch.equal(again["test"].masks, splits["test"].masks)
 
 
-def test_a_study_of_tasks(tmp_path, monkeypatch):
+def test_a_study_of_tasks(here):
     """Scenes, networks on sharp images, fine-tuning on captures, and the table; sharp images first."""
-    monkeypatch.chdir(tmp_path)
     networks = {"pixels": SEGMENTATION | {"training": TASK_TRAINING, "fine_tuning": TASK_TRAINING}}
     section = {"scenes": {"size": 32, "train": 8, "test": 4}, "designs": ["imaging1"], "networks": networks}
     study = parse(tiny_study() | {"tasks": section})
@@ -89,9 +88,8 @@ def with_tasks(**design) -> dict:
 
 
 @pytest.mark.slow
-def test_a_lens_is_designed_for_detection(tmp_path, monkeypatch, few_rays):
+def test_a_lens_is_designed_for_detection(here, few_rays):
     """By its frozen network, on images with objects, from an imaging lens; it appears only in the tasks' table."""
-    monkeypatch.chdir(tmp_path)
     study = parse(with_tasks())
     finish("images", study)
     finish("scenes", study)

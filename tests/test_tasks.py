@@ -7,7 +7,6 @@ import pytest
 import torch
 from designs import problem
 from examples import BOXES, MASKS, SEGMENTATION, TASK_TRAINING
-from pydantic import ValidationError
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss
@@ -189,18 +188,3 @@ def test_published_weights_that_cannot_be_downloaded_are_one_line(monkeypatch):
     network = settings({"kind": "segmentation", "model": "lraspp_mobilenet_v3_large", "pretrained": True})
     with pytest.raises(InputError, match=r"tasks\.networks\.mine: the published weights .* \(no route to host\)"):
         task_networks.build("mine", network, 3, 64)
-
-
-@pytest.mark.parametrize(
-    "content",
-    [
-        {"kind": "segmentation", "backbone": "resnet18"},
-        {"kind": "detection", "backbone": "resnet18", "model": "fasterrcnn_resnet50_fpn"},
-        {"kind": "detection", "backbone": "resnet18", "pretrained": True},
-        {"kind": "detection", "model": "fasterrcnn_resnet50_fpn", "channels": 32},
-        {"kind": "depth", "model": "any"},
-    ],
-)
-def test_networks_that_do_not_fit_their_task(content):
-    with pytest.raises(ValidationError):
-        settings(content)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy
 import pytest
 import torch
+from examples import HEADLINE
 from torch import nn
 from torch.func import functional_call, grad, hessian, jacfwd, jacrev, jvp, vmap
 from torch.fx.experimental.proxy_tensor import make_fx
@@ -17,7 +18,7 @@ from tasklens.runtime.errors import InputError
 from tasklens.runtime.tensors import as_tensor
 
 ROOT = Path(__file__).parents[1]
-FILE = ROOT / "docs/results/headline/lenses/doublet-imaging3.yaml"
+FILE = HEADLINE / "doublet-imaging3.yaml"
 IMAGE = torch.rand(3, 40, 40, generator=torch.Generator().manual_seed(0))
 PAIRS = [(IMAGE, k % 3) for k in range(3)]
 

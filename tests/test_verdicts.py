@@ -11,49 +11,38 @@ from rules import finish
 from study_results import DOUBLET, FIELDS, IMAGES, study_of, write_results
 
 from tasklens.runtime.files import FileError
+from tasklens.settings.names import SHARP
 from tasklens.show.bootstrap import holm
 from tasklens.study import claims
 from tasklens.study.claims import FEWER_ELEMENTS, OVER_END_TO_END, OVER_IMAGE_QUALITY, OVER_IMAGING1, OVER_LEAST_SQUARES
 from tasklens.study.loading import dump, parse
 from tasklens.study.report import answers_file, verdicts
-from tasklens.study.report.measurements import Measurements
+from tasklens.study.report.answers_file import PackedMeasurements
 from tasklens.study.report.verdicts import FAILS, HOLDS, UNDECIDED
 
-
-@pytest.fixture(autouse=True)
-def folder(tmp_path, monkeypatch):
-    """Where the results are."""
-    monkeypatch.chdir(tmp_path)
+pytestmark = pytest.mark.usefixtures("here")
 
 
-class PlantedAnswers(Measurements):
+def planted_answers(contents, accuracy, minival=None, inside=0.9) -> PackedMeasurements:
     """Answers of which a fraction accuracy(lens, classifier, seed) is correct; it may differ between images.
 
     One random number per image and field, shared by all lenses, decides: a capture that is correct through a lens is
     also correct through a better one.
     """
-
-    def __init__(self, accuracy, minival=None, inside=0.9):
-        super().__init__({}, {})
-        vars(self).update(accuracy=accuracy, minival=minival or accuracy, inside=inside)
-
-    def correct(self, lens, classifier, seed, fields="field") -> pandas.DataFrame:
-        luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))[:, : 1 if lens == "sharp" else FIELDS]
-        index = pandas.MultiIndex.from_product([range(IMAGES), ["cat"]], names=["image", "label"])
-        return pandas.DataFrame((luck < self.accuracy(lens, classifier, seed)).astype(int), index)
-
-    def has(self, fields, keys) -> bool:
-        return fields == "field"
-
-    def values(self, lens, classifier, seed) -> dict[str, float]:
-        return {"minival_accuracy": 100 * self.minival(lens, classifier, seed), "chance": 10.0}
-
-    def lens_values(self, lens, seed) -> dict[str, float]:
-        return {"energy_in_window": self.inside}
+    luck = numpy.random.default_rng(0).random((IMAGES, FIELDS))
+    index = pandas.MultiIndex.from_product([range(IMAGES), ["cat"]], names=["image", "label"])
+    answers, accuracies = {}, {}
+    for key in contents.measured_keys:
+        right = luck[:, : 1 if key.lens == SHARP else FIELDS] < accuracy(*key)
+        answers[key] = pandas.DataFrame(right.astype(int), index)
+        accuracies[key] = {"minival_accuracy": 100 * (minival or accuracy)(*key), "chance": 10.0}
+    energy = dict.fromkeys(contents.lens_keys, inside)
+    return PackedMeasurements({}, {}, answers=answers, accuracies=accuracies, energy=energy)
 
 
 def verdicts_of(study, accuracy, **others) -> pandas.DataFrame:
-    rows = verdicts.collect(claims.claims(study), PlantedAnswers(accuracy, **others))
+    contents = claims.claims(study)
+    rows = verdicts.collect(contents, planted_answers(contents, accuracy, **others))
     return rows.set_index(["table", "claim", "lens", "classifier"])
 
 

@@ -8,6 +8,7 @@ import pytest
 import yaml
 from examples import changed, measurements_of, tiny_study, with_imported, write
 from rules import finish, outputs
+from study_results import write_measurement
 
 from tasklens.settings.names import SHARP
 from tasklens.study import table_contents
@@ -36,27 +37,20 @@ def folder(tmp_path_factory, study):
 
 
 @pytest.fixture(autouse=True)
-def results(tmp_path, monkeypatch, folder):
+def results(here, folder):
     """A copy of the files for each test."""
-    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
-    monkeypatch.chdir(tmp_path)
+    shutil.copytree(folder, here, dirs_exist_ok=True)
 
 
 def write_files(study) -> None:
     for lens, name in table_contents.verification(study).measured:
-        right = [int(k % 4 > 0) for k in range(IMAGES)]
-        fields = {f"field{k}": right for k in range(1 if lens == SHARP else FIELDS)}
-        frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | fields)
-        for path in (predictions(study, lens, name), second_predictions(study, lens, name)):
-            write(path, frame.to_csv(index=False))
-        losses = {f"field{k}": [0.1 * (image % 3) for image in range(IMAGES)] for k in range(len(fields))}
-        frame = pandas.DataFrame({"image": range(IMAGES), "label": "cat"} | losses)
-        write(frozen_predictions(study, lens, name), frame.to_csv(index=False))
-        rows = [("accuracy", k, 75.0) for k in range(len(fields))] + [("chance", "", 10.0), ("parameters_m", "", 0.5)]
-        rows += [("psnr_db", k, 20.0) for k in range(len(fields))]
-        rows += [("minival_accuracy", k, 75.0) for k in range(len(fields))]
-        frame = pandas.DataFrame(rows, columns=["metric", "field", "value"])
-        write(metrics(study, lens, name), frame.to_csv(index=False))
+        fields = 1 if lens == SHARP else FIELDS
+        values = {"accuracy": [75.0] * fields, "minival_accuracy": [75.0] * fields, "psnr_db": [20.0] * fields}
+        values |= {"chance": 10.0, "parameters_m": 0.5}
+        right = [[int(k % 4 > 0)] * fields for k in range(IMAGES)]
+        losses = [[0.1 * (k % 3)] * fields for k in range(IMAGES)]
+        write_measurement(study.name, lens, name, 0, values, predictions=right, frozen=losses)
+        write(second_predictions(study, lens, name), predictions(study, lens, name).read_text())
     for lens in study.lenses:
         write(lens_file(study, lens), yaml.safe_dump(lens_content(study.spec.efl_mm)))
     for name in study.tables:
@@ -66,10 +60,6 @@ def write_files(study) -> None:
 
 def metrics(study, lens, name) -> Path:
     return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).metrics
-
-
-def frozen_predictions(study, lens, name) -> Path:
-    return outputs("fine_tune", study, lens=lens, measured_name=name, seed=0).frozen
 
 
 def predictions(study, lens, name) -> Path:

@@ -131,12 +131,12 @@ def test_a_mistake_in_the_study_stops_before_any_job(tmp_path):
 # ---- an imported lens
 
 
-def test_an_imported_lens_joins_the_tables(tmp_path):
+def test_an_imported_lens_joins_the_tables(here):
     """In a study of two seeds."""
-    study = smoke_with_imported(tmp_path) | {"seeds": [3, 4]}
+    study = smoke_with_imported(here) | {"seeds": [3, 4]}
     jobs = {"images": 1, "reference": 2, "design": 12, "psfs": 12, "restore": 8, "fine_tune": 32, "certificate": 6}
     jobs |= {"table": 4, "verdicts_table": 1} | dict.fromkeys(PAGE_JOBS, 1)
-    assert plan(tmp_path, study, "tables") == jobs
+    assert plan(here, study, "tables") == jobs
 
 
 @pytest.mark.parametrize("profile", ["default", "slurm"])

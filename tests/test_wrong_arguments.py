@@ -1,18 +1,17 @@
 """Arguments that cannot be used are refused with a message that says what was expected."""
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 import torch
+from examples import HEADLINE
 from typed_lenses import COOKE
 
 import tasklens
 from tasklens import Camera, PsfCamera, design_lens, load_lens, psf, rank, save_lens, simulate, trace
 from tasklens.runtime.errors import InputError
 
-PUBLISHED = Path(__file__).parents[1] / "docs" / "results" / "headline" / "lenses"
-LENS = PUBLISHED / "doublet-tasklens.yaml"
+LENS = HEADLINE / "doublet-tasklens.yaml"
 IMAGE, NETWORK = torch.full((3, 60, 60), 0.5), torch.nn.Flatten()
 
 
@@ -37,7 +36,7 @@ def test_a_typed_lens_that_cannot_be(surface, change, words):
 
 @pytest.fixture(scope="module")
 def doublet():
-    return load_lens(PUBLISHED / "doublet-imaging2.yaml")
+    return load_lens(HEADLINE / "doublet-imaging2.yaml")
 
 
 def dark(lens):

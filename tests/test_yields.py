@@ -7,14 +7,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import cooke_triplet, f64
+from examples import cooke_file, cooke_triplet, f64
 from tolerance_examples import doublet, grade
 
 from tasklens.cli.app import main
 from tasklens.optics.analysis.pupil import rim
 from tasklens.optics.analysis.spots import lit_semi_diameters, trace_fields
-from tasklens.optics.io import zemax
-from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.tolerancing import monte_carlo, yields
 from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.view import View
@@ -129,7 +127,7 @@ def test_the_widest_tolerances_that_pass():
 
 
 @pytest.mark.slow
-def test_the_command(tmp_path, monkeypatch, capsys):
+def test_the_command(here, monkeypatch, capsys):
     """JSON and text of the same lenses, which are simulated once."""
     simulate, results = yields.tolerances, {}
 
@@ -140,9 +138,8 @@ def test_the_command(tmp_path, monkeypatch, capsys):
         return results[key]
 
     monkeypatch.setattr(yields, "tolerances", simulate_once)
-    monkeypatch.chdir(tmp_path)
     fields = ("angle_deg", ((0.0, 0.0), (0.0, 15.0)))
-    zemax.write(tmp_path / "lens.zmx", Prescription(cooke_triplet(), "", None, None, fields, (0.5876,), 0))
+    cooke_file(here / "lens.zmx", fields=fields, wavelengths_um=(0.5876,), primary=0)
     command = ["lens", "tolerance", "lens.zmx", "--lenses", "10", "--pixel-pitch", "20", "--kernel-size", "51"]
     assert main([*command, "--json"]) == 0
     result = json.loads(capsys.readouterr().out)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import pytest
 import torch
 import yaml
-from examples import f64, make_lens
+from examples import f64
 from prescriptions import same_bits
 from reference_files import ZEMAX_FILES, read_zemax
 from reference_lenses import LINES, with_indices
@@ -20,13 +20,11 @@ from reference_lenses import LINES, with_indices
 from tasklens.materials.material import AIR, D_LINE
 from tasklens.optics.analysis.paraxial import paraxial
 from tasklens.optics.io import lens_files, prescription, zemax
-from tasklens.optics.io.prescription import Prescription, with_system_data
+from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import launch
 from tasklens.optics.tracing.trace import trace
-from tasklens.optics.view import view_of_spec
-from tasklens.settings.specification import Spec
 
 NEAR_OBJECTS = {"3P_F2.5_FOV78.1_EFL2.8_IMH2.3_TTL4.33": 350.0, "4P_F2.2_FOV68.0_EFL2.6_IMH1.8_TTL3.30": 370.0}
 
@@ -155,13 +153,6 @@ def optiland():
     return pytest.importorskip("optiland.fileio")
 
 
-LENS = make_lens(  # a doublet that fits the default specification to first order
-    [0.0, 0.5, -0.3, 0.1, 0.2],
-    [0.1, 0.9, 0.4, 0.7, 2.0],
-    ("air", "COC", "air", "PS", "air"),
-    alpha=f64([[0.0] * 3, [0.0, 0.02, 0.01], [0.0, -0.05, 0.02], [0.0, -0.1, 0.03], [0.0, -0.1, 0.02]]),
-    semi_diameter=[0.52, 0.8, 0.9, 1.2, 1.5],
-)
 WITHOUT_SURFACE = {"US-12078784-B2-e6", "US20210165194A1"}  # extended aspheres
 
 
@@ -187,17 +178,3 @@ def test_optiland_reads_what_we_write(tmp_path, optiland, path):
     assert tuple(float(w.value) for w in optic.wavelengths) == imported.wavelengths_um
     efl = float(paraxial(lens, imported.wavelengths_um[imported.primary]).efl)
     assert float(optic.paraxial.f2()) == pytest.approx(efl, rel=5e-4)
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_optiland_reads_a_lens_of_a_study(tmp_path, optiland):
-    """The specification becomes fields and wavelengths; glasses have names that both programs know."""
-    view = view_of_spec(Spec())
-    zemax.write(tmp_path / "lens.zmx", with_system_data(Prescription(LENS), view))
-    optic = optiland.load_zemax_file(str(tmp_path / "lens.zmx"))
-    assert float(optic.paraxial.f2()) == pytest.approx(float(paraxial(LENS, view.reference_um).efl), rel=5e-4)
-    assert optic.fields.num_fields == len(view.fields)
-    assert optic.fields.max_y_field == pytest.approx(math.degrees(math.atan(float(view.tangents[:, 1].max()))))
-    assert [float(wave.value) for wave in optic.wavelengths] == list(view.wavelengths_um)
-    ours = zemax.read(tmp_path / "lens.zmx")
-    assert ours.lens.media == LENS.media and ours.lens.curvature.tolist() == LENS.curvature.tolist()

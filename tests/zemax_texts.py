@@ -1,7 +1,5 @@
 """A lens file and a glass catalogue in the formats of Zemax, and readers of their text."""
 
-from tasklens.materials import catalogues
-from tasklens.materials.material import Material
 from tasklens.optics.io import zemax
 
 LENS_TEXT = """VERS 190513 80 123457 L123457
@@ -86,11 +84,3 @@ def edit(*changes: tuple[str, str]) -> str:
         assert text.count(old) == 1, old
         text = text.replace(old, new)
     return text
-
-
-def whole_catalogue(path) -> dict[str, Material]:
-    """All glasses of a catalogue; raises FileError for the first one that cannot be used."""
-    glasses, errors = catalogues.read_agf(path)
-    for error in errors.values():
-        raise error
-    return glasses
