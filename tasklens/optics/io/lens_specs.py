@@ -121,18 +121,19 @@ def with_specification(
         distance = source.object_distance_mm if object_distance_mm is None else object_distance_mm
         if changes or wavelengths or object_distance_mm is not None or focus is not None:
             content = without_figures(content)
+        remarks = [*source.remarks]
         if "spec" in content:
-            view, own, remarks = view_of(source.lens, content, name), None, []
+            view, own = view_of(source.lens, content, name), None
             check_copies(source, content["spec"], view, name)
             view = replace(view, wavelengths_um=wavelengths or view.wavelengths_um)
         else:
             content = {}
-            view, own, remarks = _derived_view(source, wavelengths, changes)
+            view, own, assumptions = _derived_view(source, wavelengths, changes)
+            remarks += assumptions
         source.lens.refractive_indices(view.wavelengths_um)
         lens, view = _change(source.lens, replace(view, object_vergence=1 / distance), changes)
         lens, moved = _place_image_plane(lens, view, source.object_distance_mm, focus)
-        remarks = [*source.remarks, *remarks, *moved, *light_remarks(lens, view)]
-        return LensFile(source, lens, view, content, tuple(remarks), own)
+        return LensFile(source, lens, view, content, (*remarks, *moved, *light_remarks(lens, view)), own)
     except InputError as error:
         if isinstance(error, FileError) or not name:
             raise
