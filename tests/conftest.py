@@ -14,7 +14,7 @@ from designs import LIMITS, SPEC, VIEW, spot_descent
 from examples import materials
 from threadpoolctl import threadpool_limits
 
-from tasklens.design import objective, optimum
+from tasklens.design import criteria, optimum
 from tasklens.design.start import flat, random_starts
 
 torch.set_num_threads(1)
@@ -39,7 +39,7 @@ def two_threads():
 @pytest.fixture
 def few_rays(monkeypatch):
     """Validation with 64 rays, and the test of an optimum with 64 rays and one step: a tenth of their time."""
-    monkeypatch.setattr(objective, "VALIDATION_RAYS", 64)
+    monkeypatch.setattr(criteria, "VALIDATION_RAYS", 64)
     monkeypatch.setattr(optimum, "_RAYS", 64)
     monkeypatch.setattr(optimum, "_DIRECTIONS", 0)
     monkeypatch.setattr(optimum, "STEPS_UM", (0.5,))

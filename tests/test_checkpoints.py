@@ -12,7 +12,7 @@ from designs import adamw_descent, tiny_network
 from examples import changed, random_images, tiny_study
 from rules import finish, job_of
 
-from tasklens.design import objective
+from tasklens.design import criteria
 from tasklens.recognition import evaluation, training
 from tasklens.runtime import checkpoints
 from tasklens.runtime import job as runtime_job
@@ -137,7 +137,7 @@ def test_a_network_that_is_not_trained_is_measured_once(workplace, monkeypatch):
 def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypatch, tmp_path):
     """Not with its start: the last finite lens is part of the checkpoint."""
     monkeypatch.setattr(checkpoints, "INTERVAL", 0.0)
-    losses = objective.loss_at_psf
+    losses = criteria.loss_at_psf
 
     def breaking(*rest):
         values, gradient = losses(*rest)
@@ -146,7 +146,7 @@ def test_a_resumed_descent_that_diverges_ends_with_its_last_lens(start, monkeypa
     def final_lens(checkpoint: Checkpoint):
         return adamw_descent(tiny_network(), start, steps=6, checkpoint=checkpoint)[0]
 
-    monkeypatch.setattr(objective, "loss_at_psf", breaking)
+    monkeypatch.setattr(criteria, "loss_at_psf", breaking)
     steps = itertools.count(1)
     expected = final_lens(Checkpoint(tmp_path / "job.pt"))
     steps = itertools.count(4)  # the fourth breaks again

@@ -7,6 +7,7 @@ import torch
 from designs import LIMITS, VIEW, problem
 from examples import by_descents, materials
 
+from tasklens.design import criteria
 from tasklens.design.criteria import Contrast, ImageError, SpotRadius
 from tasklens.design.objective import Objective
 from tasklens.design.optimum import local_optimum
@@ -64,7 +65,7 @@ def test_a_lens_on_the_slope_of_a_bowl_is_none(feasible):
 
 def test_a_descent_that_was_cut_short_has_not_converged(monkeypatch):
     """By the spot, a lens after few steps from flat plates is far from its optimum; after many more steps it is not."""
-    monkeypatch.setattr("tasklens.design.objective.VALIDATION_RAYS", 64)
+    monkeypatch.setattr(criteria, "VALIDATION_RAYS", 64)
     monkeypatch.setattr("tasklens.design.optimum._DIRECTIONS", 0)
     posed = replace(problem(), seed=0)
     objective, gains = Objective(SpotRadius(), posed, None, False, 36), []

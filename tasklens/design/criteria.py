@@ -7,8 +7,8 @@ batch statistics, it is exact for one micro-batch per step.
 """
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from abc import abstractmethod
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -17,8 +17,11 @@ import torch
 from torch import Tensor, nn
 
 from tasklens.camera.imaging import PsfCamera
+from tasklens.design.objective import VALIDATION_RAYS, Batch, Criterion, Loss, Objective
 from tasklens.design.optimizers import cosine
-from tasklens.optics.analysis.spots import centroid
+from tasklens.optics.analysis.pupil import sobol_disc
+from tasklens.optics.analysis.spots import centroid, trace_fields
+from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
 from tasklens.recognition.tasks import CLASSIFICATION, Task
@@ -76,34 +79,7 @@ def loss_at_psf(
     return torch.cat(losses).reshape(len(grid), -1).mean(-1).to(grid), at_psf.to(grid)
 
 
-class _Criterion:
-    """A loss by which a lens is supervised.
-
-    Attributes:
-        trained: whether the criterion changes from step to step, so that losses of different steps are not comparable.
-        scales_with_stop: whether the loss is proportional to the radius of the stop.
-        reads_images: whether it is a loss of captures of images.
-    """
-
-    trained = False
-    scales_with_stop = False
-    reads_images = False
-
-    @property
-    def holders(self) -> dict[str, Any]:
-        """Parts with `state_dict` and `load_state_dict` by name; none, unless the criterion is trained."""
-        return {}
-
-    def train_step(self) -> None:
-        """Step the network's optimizer with the accumulated gradients, if the criterion is trained."""
-
-    @contextmanager
-    def evaluating(self) -> Iterator[None]:
-        """Compute losses as after training, within this context."""
-        yield
-
-
-class CaptureCriterion(_Criterion, ABC):
+class CaptureCriterion(Criterion):
     """A loss of each capture."""
 
     reads_images = True
@@ -112,8 +88,44 @@ class CaptureCriterion(_Criterion, ABC):
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
         """Compute the loss (N,) of each capture (N, 3, H, W) of sharp images (N, 3, H, W) with labels (N,)."""
 
+    def loss(
+        self, objective: Objective, lens: Lens, view: View, pupil: Tensor, pixels: float, batch: Batch | None = None
+    ) -> Loss:
+        """Compute the loss of captures of images, in stages."""
+        assert batch is not None
+        rays, grid = objective.trace(lens, view, pupil, pixels)
+        images, labels = objective.images(batch.indices, objective.augment)
+        light, weights = objective.illumination(batch.design, view), objective.weights(view)
+        settings = objective.capture, objective.micro_batch, light, batch.seed, weights
+        losses, gradient = loss_at_psf(self, images, labels, grid, *settings)
+        return Loss(rays, view, losses, (grid * gradient).sum(), grid)
 
-class FieldCriterion(_Criterion, ABC):
+    def fixed_losses(
+        self, objective: Objective, lens: Lens, lights: Sequence[Tensor | None], pixels: float, part: slice
+    ) -> Tensor:
+        """Compute the losses (N,) of images that take the views of the validation in turns, without augmentation."""
+        views, indices = objective.problem.views_of_validation, objective.fixed_images(part)
+        noise = torch.Generator().manual_seed(objective.problem.seed)  # drawn by image, so independent of micro-batches
+        losses = torch.empty(len(indices))
+        for turn, (view, light) in enumerate(zip(views[: len(indices)], lights, strict=False)):
+            images, labels = objective.images(indices[turn :: len(views)], augment=False)
+            _, grid = objective.trace(lens, view, sobol_disc(VALIDATION_RAYS, seed=0), pixels)
+            camera = PsfCamera.of(objective.capture, grid.to(images), light)
+            weights = objective.weights(view).to(images)
+            # Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch.
+            batch_size = max(1, objective.micro_batch // len(grid))
+            of_turn = []
+            with self.evaluating():
+                for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
+                    captures = camera.all_fields(batch, noise)
+                    sharp, targets = (torch.cat([values] * len(grid)) for values in (batch, batch_labels))
+                    of_batch = self.losses(captures.flatten(0, 1), sharp, targets).reshape(len(grid), -1)
+                    of_turn.append((weights[:, None] * of_batch).mean(0))
+            losses[turn :: len(views)] = torch.cat(of_turn).to(losses)
+        return losses
+
+
+class FieldCriterion(Criterion):
     """A loss of each field, without images.
 
     Attributes:
@@ -126,8 +138,22 @@ class FieldCriterion(_Criterion, ABC):
     def of_fields(self, rays: Rays, grid: Tensor | None, view: View) -> Tensor:
         """Compute the loss (F,) of a lens at the fields of a view: of its rays, or, if `by_psf`, PSFs (F, W, K, K)."""
 
+    def loss(
+        self, objective: Objective, lens: Lens, view: View, pupil: Tensor, pixels: float, batch: Batch | None = None
+    ) -> Loss:
+        """Compute the loss of rays or PSFs."""
+        rays, grid = (
+            objective.trace(lens, view, pupil, pixels) if self.by_psf else (trace_fields(lens, view, pupil), None)
+        )
+        losses = objective.weights(view) * self.of_fields(rays, grid, view)
+        return Loss(rays, view, losses.detach(), losses.mean(), grid)
 
-Criterion = CaptureCriterion | FieldCriterion
+    def fixed_losses(
+        self, objective: Objective, lens: Lens, lights: Sequence[Tensor | None], pixels: float, part: slice
+    ) -> Tensor:
+        """Compute the losses (N,) of all fields of the validation."""
+        pupil, views = sobol_disc(VALIDATION_RAYS, seed=0), objective.problem.views_of_validation
+        return torch.cat([self.loss(objective, lens, view, pupil, pixels).fields for view in views])
 
 
 class TaskLoss(CaptureCriterion):

@@ -17,9 +17,8 @@ from typing import Any
 
 import torch
 
-from tasklens.design.criteria import Criterion
 from tasklens.design.descent import Descent, run
-from tasklens.design.objective import Objective
+from tasklens.design.objective import Criterion, Objective
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import as_saved
 from tasklens.optics.lens import Lens

@@ -11,8 +11,8 @@ from torch import Tensor, nn
 
 from tasklens.design import descents, least_squares
 from tasklens.design.constraints import limit_margins, smallest_margins, worst_margin
-from tasklens.design.criteria import Contrast, Correlation, Criterion, ImageError, JointTaskLoss, SpotRadius, TaskLoss
-from tasklens.design.objective import Objective
+from tasklens.design.criteria import Contrast, Correlation, ImageError, JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.objective import Criterion, Objective
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
 from tasklens.design.ray_space import repair

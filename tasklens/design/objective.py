@@ -1,19 +1,18 @@
 """Objective of a design: a criterion with all that its loss of a lens depends on."""
 
-from collections.abc import Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal, NamedTuple
 
 import torch
 from torch import Tensor
 from torchvision.transforms.v2 import TrivialAugmentWide
 from torchvision.transforms.v2.functional import resize
 
-from tasklens.camera.imaging import PsfCamera
-from tasklens.design.criteria import CaptureCriterion, Criterion, FieldCriterion, loss_at_psf
 from tasklens.design.problem import Problem
 from tasklens.optics.analysis.illumination import relative_illumination
-from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields, trace_with_chief
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
@@ -33,6 +32,57 @@ _ENOUGH = 800  # dataset size from which batches exclude the two above
 VALIDATION_RAYS = 1024  # rays per field and colour
 _VALIDATION_BUILT = 8  # number of built lenses, if the design has a tolerance grade
 _VALIDATION_SEED = 9001  # added to the seed: other lenses than reported, other images than in the first steps
+
+
+class Batch(NamedTuple):
+    """Images of a step: their indices (B,), the seed of their noise, and the lens whose illumination they have."""
+
+    indices: Tensor
+    seed: int
+    design: Lens
+
+
+class Criterion(ABC):
+    """A loss by which a lens is supervised.
+
+    Attributes:
+        trained: whether the criterion changes from step to step, so that losses of different steps are not comparable.
+        scales_with_stop: whether the loss is proportional to the radius of the stop.
+        reads_images: whether it is a loss of captures of images.
+    """
+
+    trained = False
+    scales_with_stop = False
+    reads_images = False
+
+    @abstractmethod
+    def loss(
+        self, objective: "Objective", lens: Lens, view: View, pupil: Tensor, pixels: float, batch: Batch | None = None
+    ) -> "Loss":
+        """Compute the loss of a lens at the fields of a view; `batch` are the images of a step."""
+
+    @abstractmethod
+    def fixed_losses(
+        self, objective: "Objective", lens: Lens, lights: Sequence[Tensor | None], pixels: float, part: slice
+    ) -> Tensor:
+        """Compute the losses (N,) of a lens as in `Objective.fixed_losses`.
+
+        Args:
+            lights: relative illumination (F,) of each view of the validation; empty for a criterion without images.
+        """
+
+    @property
+    def holders(self) -> dict[str, Any]:
+        """Parts with `state_dict` and `load_state_dict` by name; none, unless the criterion is trained."""
+        return {}
+
+    def train_step(self) -> None:  # noqa: B027  # most criteria have nothing to train
+        """Step the network's optimizer with the accumulated gradients, if the criterion is trained."""
+
+    @contextmanager
+    def evaluating(self) -> Iterator[None]:
+        """Compute losses as after training, within this context."""
+        yield
 
 
 @dataclass(frozen=True)
@@ -141,24 +191,8 @@ class Objective:
             seed: seed of the fields and of a sensor's noise.
             design: lens for the illumination, if `lens` is built from it.
         """
-        view = self.problem.view_of_step(seed)
-        if isinstance(self.criterion, FieldCriterion):
-            return self._loss_of_fields(self.criterion, lens, view, pupil, pixels)
-        assert indices is not None  # a problem of captures has images
-        rays, grid = self.trace(lens, view, pupil, pixels)
-        images, labels = self.images(indices, self.augment)
-        light, weights = self.illumination(design or lens, view), self.weights(view)
-        settings = self.capture, self.micro_batch, light, seed, weights
-        losses, gradient = loss_at_psf(self.criterion, images, labels, grid, *settings)
-        return Loss(rays, view, losses, (grid * gradient).sum(), grid)
-
-    def _loss_of_fields(self, criterion: FieldCriterion, lens: Lens, view: View, pupil: Tensor, pixels: float) -> Loss:
-        """Compute the loss of rays or PSFs at the fields of a view."""
-        rays, grid = (
-            self.trace(lens, view, pupil, pixels) if criterion.by_psf else (trace_fields(lens, view, pupil), None)
-        )
-        losses = self.weights(view) * criterion.of_fields(rays, grid, view)
-        return Loss(rays, view, losses.detach(), losses.mean(), grid)
+        batch = None if indices is None else Batch(indices, seed, design or lens)
+        return self.criterion.loss(self, lens, self.problem.view_of_step(seed), pupil, pixels, batch)
 
     def validation_loss(self, lens: Lens, pixels: float) -> float:
         """Compute the mean loss of a lens, or of lenses built from it, on the fixed images that guide a descent."""
@@ -190,43 +224,8 @@ class Objective:
         lenses = self.as_built(lens, self.problem.seed + _VALIDATION_SEED, _VALIDATION_BUILT)
         state = random_state()
         torch.manual_seed(self.problem.seed)
-        criterion, views = self.criterion, self.problem.views_of_validation
-        if isinstance(criterion, FieldCriterion):
-            pupil = sobol_disc(VALIDATION_RAYS, seed=0)
-            losses = [
-                torch.cat([self._loss_of_fields(criterion, built_lens, view, pupil, pixels).fields for view in views])
-                for built_lens in lenses
-            ]
-        else:
-            lights = [self.illumination(lens, view) for view in views]
-            losses = [self._losses_of_images(criterion, built_lens, lights, pixels, part) for built_lens in lenses]
+        views = self.problem.views_of_validation if self.criterion.reads_images else ()
+        lights = [self.illumination(lens, view) for view in views]
+        losses = [self.criterion.fixed_losses(self, built_lens, lights, pixels, part) for built_lens in lenses]
         set_random_state(state)
         return torch.stack(losses).mean(0)
-
-    def _losses_of_images(
-        self, criterion: CaptureCriterion, lens: Lens, lights: Sequence[Tensor | None], pixels: float, part: slice
-    ) -> Tensor:
-        """Compute the losses (N,) of images that take the views of the validation in turns, without augmentation.
-
-        Args:
-            lights: relative illumination (F,) of each view.
-        """
-        views, indices = self.problem.views_of_validation, self.fixed_images(part)
-        noise = torch.Generator().manual_seed(self.problem.seed)  # drawn by image, so independent of micro-batches
-        losses = torch.empty(len(indices))
-        for turn, (view, light) in enumerate(zip(views[: len(indices)], lights, strict=False)):
-            images, labels = self.images(indices[turn :: len(views)], augment=False)
-            _, grid = self.trace(lens, view, sobol_disc(VALIDATION_RAYS, seed=0), pixels)
-            camera = PsfCamera.of(self.capture, grid.to(images), light)
-            weights = self.weights(view).to(images)
-            # Micro-batches hold all fields of an image: batch norms in batch mode need them in every batch.
-            batch_size = max(1, self.micro_batch // len(grid))
-            of_turn = []
-            with criterion.evaluating():
-                for batch, batch_labels in zip(images.split(batch_size), labels.split(batch_size), strict=True):
-                    captures = camera.all_fields(batch, noise)
-                    sharp, targets = (torch.cat([values] * len(grid)) for values in (batch, batch_labels))
-                    of_batch = criterion.losses(captures.flatten(0, 1), sharp, targets).reshape(len(grid), -1)
-                    of_turn.append((weights[:, None] * of_batch).mean(0))
-            losses[turn :: len(views)] = torch.cat(of_turn).to(losses)
-        return losses
