@@ -1,7 +1,6 @@
 """Programs and jobs: their exit status, an imported lens, and errors that are messages."""
 
 import os
-import re
 import subprocess
 import sys
 
@@ -66,7 +65,7 @@ def test_an_imported_lens_goes_the_same_way(here, capsys):
     assert main(["study", "check", "--no-weight-files", "imported.yaml"]) == 0
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
     assert main(["study", "check", "--no-weight-files", "imported.yaml"]) == 2
-    assert re.search("theirs.yaml: .* does not cover the field", capsys.readouterr().err)
+    assert "theirs.yaml: does not cover the field" in capsys.readouterr().err
 
 
 def test_a_broken_lens_file_is_a_message_too(here):

@@ -156,7 +156,7 @@ def test_its_own_clear_apertures_vignette(tmp_path):
     energy = evaluation_psf(lens, view_of_spec(settings.spec), RAYS).sum((-2, -1))
     torch.testing.assert_close(energy, torch.ones_like(energy), rtol=0, atol=1e-12)
     assert notes["figures"]["energy_in_window"] == pytest.approx([1.0] * 9, abs=1e-12)
-    again = prescription.read(settings.entry.design.file)[0].lens
+    again = imported.read(settings.entry.design)[0].lens
     assert float(again.semi_diameter[0]) == 8.0  # the file's lens is not changed
 
 

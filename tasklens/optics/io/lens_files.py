@@ -81,13 +81,11 @@ def write(path: Path, data: Prescription, notes: Mapping[str, Any]) -> None:
 
 
 def _check_keys(content: Mapping[str, Any], path: Path) -> None:
-    """Raise FileError for a key that is nearly one of a lens file, or a wrong spec; other keys are notes."""
+    """Raise FileError for a key that is nearly one of a lens file, or unknown in its spec; other keys are notes."""
     for key in content:
         if key not in _KEYS and get_close_matches(str(key), _KEYS, 1, _SIMILAR):
             raise FileError(f"{path}: {key}: unknown key{suggestion(str(key), dict.fromkeys(_KEYS))}")
-    spec = content.get("spec", {})
-    if not isinstance(spec, Mapping):
-        raise FileError(f"{path}: spec: expected keys such as fields_mm, found {spec!r}; correct it")
-    for key in spec:
+    spec = content.get("spec")
+    for key in spec if isinstance(spec, Mapping) else ():
         if key not in _SPEC:
             raise FileError(f"{path}: spec.{key}: unknown key{suggestion(str(key), dict.fromkeys(_SPEC))}")

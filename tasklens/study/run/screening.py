@@ -12,7 +12,7 @@ from tasklens.optics.analysis.focus import refocus
 from tasklens.optics.analysis.mtf import mean_mtf
 from tasklens.optics.analysis.object_points import image_scale
 from tasklens.optics.analysis.paraxial import check_focal_length
-from tasklens.optics.analysis.spots import evaluation_psf
+from tasklens.optics.analysis.spots import evaluation_psf, has_light
 from tasklens.optics.io import imported, lens_files
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import energy_inside, window_remark
@@ -152,6 +152,8 @@ def _screen(
     spec = validate(Spec, sensor.model_dump(exclude_computed_fields=True) | lens_spec)
     view = view_of_spec(spec)
     lens, details = imported.fit(validate(ImportedLens, entry), view, spec.f_number)
+    if not (light := has_light(lens, view)).all():
+        raise InputError(f"no light arrives at {int((~light).sum())} of {len(light)} fields")
     if (by := details["focus"]) != "file":
         lens = refocus(lens, view, "spot" if by == "spot" else "mtf")
     grid = evaluation_psf(lens, view, _RAYS)
