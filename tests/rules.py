@@ -144,7 +144,7 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
 
 def reached(before: dict, after: dict) -> set[tuple]:
     """The jobs with other settings in the slices of another study."""
-    return {job for job in before if before[job] != after[job]}
+    return {job for job in before.keys() & after.keys() if before[job] != after[job]}
 
 
 def slices(mapping: dict) -> dict[tuple, list[str]]:

@@ -36,7 +36,7 @@ def files(narrow, tmp_path):
     return tmp_path
 
 
-IMAGES = torch.rand(3, 32, 32, generator=torch.Generator().manual_seed(0))
+IMAGES = torch.rand(3, 40, 60, generator=torch.Generator().manual_seed(0))
 SHORT = {"descents": {"0": {"steps": 1}}, "rays": 16}
 DOORS = {
     "psf": lambda pair: tasklens.psf(*pair, rays=64),
@@ -47,7 +47,7 @@ DOORS = {
     "design_lens": lambda pair: tasklens.design_lens("spot", start=pair, settings=SHORT),
 }
 MORE = {  # words of a door
-    "simulate_whole_sensor": f"{WORDS}.*; take larger pixels of the image",  # its windows are of these
+    "simulate_whole_sensor": f"{WORDS}.*take larger pixels of the image",  # its windows are of these
     "design_lens": f"design_lens: the {WORDS}",
 }
 

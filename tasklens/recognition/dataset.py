@@ -57,6 +57,7 @@ def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoi
         FileError: a folder is missing, a class is empty, an image is unreadable, or there are too few images.
     """
     temporary_files = {path: path.with_name(f".{path.name}") for path, _ in paths.values()}
+    listings: dict[Path, folders.Listing] = {}
     try:
         for name, split in zip(SPLITS, _splits(images), strict=True):
             path, labels = paths[name]
@@ -65,11 +66,13 @@ def make(images: ImageSettings, paths: Mapping[str, Paths], checkpoint: Checkpoi
                 write(split, path, labels)
             else:  # in temporary files, since Snakemake deletes the outputs of a killed job
                 folders.convert(split, images.size, temporary_files[path], torch.get_num_threads(), checkpoint)
-                _write_labels(split, labels)
+                listings[labels] = split
     except Exception:
         for temporary in temporary_files.values():
             temporary.unlink(missing_ok=True)
         raise
+    for labels, listing in listings.items():
+        _write_labels(listing, labels)
     for path, temporary in temporary_files.items():
         if temporary.exists():
             temporary.replace(path)
