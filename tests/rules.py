@@ -143,7 +143,7 @@ def every_job(study: Study) -> Iterator[tuple[tuple, Job]]:
 
 
 def reached(before: dict, after: dict) -> set[tuple]:
-    """The jobs with other settings in the slices of another study."""
+    """The jobs of a study that have other settings in another one."""
     return {job for job in before.keys() & after.keys() if before[job] != after[job]}
 
 
