@@ -33,7 +33,7 @@ INNER_WORDS = re.compile(  # words of pydantic and Python that no message to the
     r"|NoneType|mapping)\b|Settings\b|function-|should be strings",
     re.IGNORECASE,
 )
-SECONDS, BYTES = 20, 2**30  # time limit of a message; a thousandth of it is usual
+SECONDS, BYTES = 20, 2**30  # processor time of a message, which takes a thousandth of it; waiting may take ten times it
 
 
 def study(case: Mapping) -> list[str]:
@@ -138,7 +138,8 @@ def run(arguments: list[str]) -> tuple[int, str]:
     if not (process := os.fork()):
         sys.stdout = sys.stderr = os.fdopen(os.open("errors", os.O_CREAT | os.O_WRONLY), "w")
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
-        signal.alarm(SECONDS)
+        signal.alarm(10 * SECONDS)
+        resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
         memory = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
         resource.setrlimit(resource.RLIMIT_AS, (memory + BYTES, memory + BYTES))
         try:

@@ -32,9 +32,6 @@ class Supervision:
     task: "UserTask | None" = None
 
 
-OF_SETTINGS = Supervision()  # images and network by the settings of the designs
-
-
 class UserTask(Task):
     """A task defined by its loss alone: loss(answer of the network, labels)."""
 
@@ -55,9 +52,7 @@ class UserTask(Task):
         return losses if losses.dim() else losses.expand(len(captures))
 
 
-def supervision(
-    plans: Sequence[LensDesign], settings: ImageSettings, folder: Path, user: Supervision = OF_SETTINGS
-) -> Supervision:
+def supervision(plans: Sequence[LensDesign], settings: ImageSettings, folder: Path, user: Supervision) -> Supervision:
     """Return the supervision of designs; a network is first tried on sharp images.
 
     Args:

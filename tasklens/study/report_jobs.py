@@ -9,7 +9,6 @@ from tasklens.settings.field_settings import Points, radii
 from tasklens.settings.names import SHARP
 from tasklens.settings.network_settings import ClassifierSettings, RestorationSettings
 from tasklens.settings.specification import Spec
-from tasklens.settings.tolerance_settings import Grade
 from tasklens.study import claims as paper_claims
 from tasklens.study import table_contents
 from tasklens.study.claims import Claims, PaperClaim
@@ -18,19 +17,6 @@ from tasklens.study.loading import dump
 from tasklens.study.study import RankingSettings, Study, StudyError
 from tasklens.study.sweep import points
 from tasklens.study.table_contents import LensKey, MeasuredKey, SeededLenses, SeededMeasurements
-
-
-class CertificateJob(Frozen):
-    """The page and the pictures of a lens."""
-
-    lens: str
-    seed: int
-    grade: Grade
-
-    @classmethod
-    def of(cls, study: Study, lens: str, seed: int) -> "CertificateJob":
-        """Return the settings of the job."""
-        return cls(lens=lens, seed=seed, grade=study.tolerances.grade)
 
 
 class FramesJob(Frozen):

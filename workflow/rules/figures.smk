@@ -23,7 +23,11 @@ rule certificate:
         **needs("certificate"),
     params:
         **call("tasklens.study.jobs.certify.run"),
-        settings=settings(report_jobs.CertificateJob.of),
+        settings=named(
+            name=lambda study, lens: lens,
+            seed=lambda study, seed: seed,
+            grade=lambda study: study.tolerances.grade,
+        ),
     script:
         "../scripts/job.py"
 

@@ -10,15 +10,17 @@ from tasklens.optics.io.spec_section import view_of
 from tasklens.optics.tolerancing.manufacturing_errors import errors
 from tasklens.optics.tolerancing.sensitivity import displacements
 from tasklens.runtime.files import write_text
+from tasklens.settings.tolerance_settings import Grade
 from tasklens.show import certificate, figures
 from tasklens.show.panel import Panel
-from tasklens.study.report_jobs import CertificateJob
 
 _RAYS = 256  # per field and colour, for sensitivities
 
 
 def run(
-    settings: CertificateJob,
+    name: str,
+    seed: int,
+    grade: Grade,
     lens: Path,
     psf: Path,
     page: Path,
@@ -33,17 +35,15 @@ def run(
     lens_prescription, content = prescription.read(lens)
     design = lens_prescription.lens
     view = view_of(design, content, str(lens))
-    title = f"{settings.lens}, seed {settings.seed}"
+    title = f"{name}, seed {seed}"
     text = certificate.markdown(title, view.fields.tolist(), content, seidel_by_surface(design, view))
-    tolerances = errors(design, settings.grade)
+    tolerances = errors(design, grade)
     displacements_um = displacements(design, view, tolerances, _RAYS).tolist()
     errors_um = {error.name: um for error, um in zip(tolerances, displacements_um, strict=True)}
     limits = certificate.manufacturability(
-        content["margins"], certificate.shapes(design), errors_um, settings.grade.name, view.pixel_pitch_um
+        content["margins"], certificate.shapes(design), errors_um, grade.name, view.pixel_pitch_um
     )
     write_text(page, f"{text}\n{limits}")
-    zemax_files.write(
-        zemax, replace(prescription.with_system_data(lens_prescription, view), title=settings.lens, aperture=None)
-    )
+    zemax_files.write(zemax, replace(prescription.with_system_data(lens_prescription, view), title=name, aperture=None))
     catalogue.touch()  # already written if the lens has a glass of its own
-    figures.draw_parts(Panel.read(settings.lens, lens, psf), section, spots, psfs, curves)
+    figures.draw_parts(Panel.read(name, lens, psf), section, spots, psfs, curves)
