@@ -1,7 +1,7 @@
 """The paper's four tables from measurements, with the paper's values.
 
 Columns with the paper's values end in `_paper`; these are for another data set (ImageNet) and other networks. Words,
-units and decimals of columns are in `show.headings`.
+units and decimals of columns are in `show/headings.csv`.
 """
 
 import importlib.metadata
