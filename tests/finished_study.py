@@ -5,8 +5,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import yaml
-from examples import read_rows, tiny_study
+from examples import read_rows
 from rules import finish, outputs
+from studies import tiny_study
 
 from tasklens.settings.names import split
 from tasklens.settings.starts import imaging_designs

@@ -3,7 +3,8 @@
 import numpy
 import pandas
 import yaml
-from examples import changed, lens_file, measurement, tiny_study, write
+from examples import write
+from studies import changed, lens_file, measurement, tiny_study
 
 from tasklens.settings.names import SHARP, measured_name
 from tasklens.study.loading import parse

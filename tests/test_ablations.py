@@ -5,8 +5,8 @@ import json
 import pandas
 import pytest
 import yaml
-from examples import changed, tiny_study
 from rules import finish, job_of, outputs, reached, slices
+from studies import changed, tiny_study
 from study_results import write_results
 
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings

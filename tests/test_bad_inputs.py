@@ -17,7 +17,8 @@ from pathlib import Path
 import pytest
 import torch  # noqa: F401  # imported once, before the processes are forked
 import yaml
-from examples import HEADLINE, changed, tiny_study, write
+from examples import HEADLINE, write
+from studies import changed, tiny_study
 from zemax_texts import LENS_TEXT
 
 from tasklens.cli.app import main

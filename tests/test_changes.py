@@ -5,8 +5,9 @@ from inspect import signature
 from pkgutil import resolve_name
 
 import pytest
-from examples import changed, tiny_study, write
+from examples import write
 from rules import job_of, rule_names, workflow
+from studies import changed, tiny_study
 
 from tasklens.study.loading import dump, parse, resolve
 from tasklens.study.run.changes import (

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 import torch
 from designs import adamw_descent, tiny_network
-from examples import changed, random_images, tiny_study
+from examples import random_images
 from rules import finish, job_of
+from studies import changed, tiny_study
 
 from tasklens.design import criteria
 from tasklens.recognition import evaluation, training

@@ -2,8 +2,8 @@
 
 import pandas
 import yaml
-from examples import tiny_study
 from rules import finish
+from studies import tiny_study
 from study_results import DOUBLET, study_of
 
 from tasklens.study import claims, table_contents

@@ -8,8 +8,8 @@ import numpy
 import pytest
 import timm
 import torch
-from examples import changed, tiny_study
 from safetensors.torch import save_file
+from studies import changed, tiny_study
 
 from tasklens.recognition import classifiers, evaluation, folders, image_tensors, networks
 from tasklens.recognition import dataset as data

@@ -6,8 +6,9 @@ import sys
 
 import pytest
 import yaml
-from examples import changed, cooke_triplet, lens_file, result, tiny_study, write
+from examples import cooke_triplet, write
 from rules import finish
+from studies import changed, lens_file, result, tiny_study
 
 from tasklens.cli.app import main
 from tasklens.design.optimizers import AdamWOptimizer

@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from examples import tiny_study, write
+from examples import write
+from studies import tiny_study
 
 from tasklens.study.claims import OVER_IMAGE_QUALITY, OVER_IMAGING1, OVER_LEAST_SQUARES
 from tasklens.study.loading import parse

@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 from designs import LEARNING_RATES, LIMITS, VIEW, problem, tiny_network
-from examples import changed, f64, make_lens, materials, tiny_study
+from examples import f64, make_lens, materials
+from studies import changed, tiny_study
 
 from tasklens.design import least_squares, methods
 from tasklens.design.constraints import _INCIDENT, incidence_penalty

@@ -6,7 +6,8 @@ import pytest
 import torch
 import torch.nn.functional as F
 from designs import LEARNING_RATES, LIMITS, VIEW, adamw_descent, tiny_network
-from examples import changed, random_images, tiny_study
+from examples import random_images
+from studies import changed, tiny_study
 from torch import nn
 
 from tasklens.camera.imaging import PsfCamera

@@ -6,8 +6,9 @@ import pandas
 import pytest
 import timm
 import torch
-from examples import measurement, trained_resnet, write_photographs
+from examples import trained_resnet, write_photographs
 from safetensors.torch import load_file
+from studies import measurement
 
 import tasklens
 from tasklens.cli.app import main

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas
 import pytest
-from examples import tiny_study
+from studies import tiny_study
 
 from tasklens.study import effort
 from tasklens.study.loading import parse

@@ -8,9 +8,10 @@ import numpy
 import pandas
 import pytest
 import torch
-from examples import HEADLINE, tiny_study, write
+from examples import HEADLINE, write
 from PIL import Image
 from rules import finish, outputs
+from studies import tiny_study
 
 from tasklens.optics.io import psf_files
 from tasklens.optics.view import view_of_spec

@@ -17,10 +17,10 @@ from pathlib import Path
 
 import pytest
 from damage import HOSTILE, PLAIN, altered_text, changed_content, dump_yaml
-from examples import tiny_study
 from hypothesis import HealthCheck, Phase, event, given, settings
 from hypothesis import strategies as st
 from prescriptions import random_prescription, same_bits
+from studies import tiny_study
 from zemax_texts import CATALOGUE_TEXT, LENS_TEXT
 
 from tasklens.materials import catalogues

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 from designs import tiny_network
-from examples import changed, cooke_triplet, make_lens, random_images, tiny_study, with_imported
+from examples import cooke_triplet, make_lens, random_images
 from reference_files import reference_files
+from studies import changed, tiny_study, with_imported
 
 from tasklens.design import methods
 from tasklens.design.criteria import TaskLoss

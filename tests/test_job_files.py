@@ -10,8 +10,9 @@ from pathlib import Path
 from pkgutil import resolve_name
 
 import pytest
-from examples import changed, lens_file, measurement, tiny_study, with_imported, write
+from examples import write
 from rules import Job, every_job, job_of, rule_names, workflow
+from studies import changed, lens_file, measurement, tiny_study, with_imported
 
 from tasklens.runtime.checkpoints import Checkpoint
 from tasklens.settings.lens_entries import LensDesign

@@ -4,9 +4,9 @@ import pytest
 import torch
 import yaml
 from designs import OWN
-from examples import changed, lens_file, one_lens, tiny_study, with_imported
 from rules import finish, job_of, reached, slices
 from safetensors.torch import load_file
+from studies import changed, lens_file, one_lens, tiny_study, with_imported
 
 from tasklens.materials.catalogues import builtin
 from tasklens.settings.names import SHARP

@@ -6,8 +6,9 @@ import numpy
 import pandas
 import pytest
 import torch
-from examples import measurement, tiny_study, write
+from examples import write
 from rules import finish, outputs
+from studies import measurement, tiny_study
 
 from tasklens.optics.io import psf_files
 from tasklens.runtime.files import FileError

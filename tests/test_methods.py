@@ -2,8 +2,9 @@
 
 import pytest
 import torch
-from examples import changed, small_network, tiny_study
+from examples import small_network
 from rules import ROOT
+from studies import changed, tiny_study
 
 import tasklens
 from tasklens.cli.app import main

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 import yaml
-from examples import one_lens
 from rules import ROOT, finish
+from studies import one_lens
 from workflows import forked, plan, snakemake
 
 from tasklens.settings.names import SHARP

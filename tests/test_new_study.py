@@ -6,9 +6,10 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import tiny_study, write
+from examples import write
 from PIL import Image
 from safetensors.torch import save_file
+from studies import tiny_study
 from study_command import complaint, study
 from typer.testing import CliRunner
 

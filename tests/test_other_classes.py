@@ -7,8 +7,9 @@ import pandas
 import pytest
 import timm
 import torch
-from examples import changed, lens_file, load_script, tiny_study, write
+from examples import load_script, write
 from PIL import Image
+from studies import changed, lens_file, tiny_study
 
 from tasklens.optics.io import psf_files
 from tasklens.runtime.files import write_tensors

@@ -1,9 +1,9 @@
 """Parts of a study: their content, their files, and the priority of their jobs."""
 
 import pytest
-from examples import tiny_study
 from rules import ROOT, job_of, workflow
 from snakemake.iocontainers import Wildcards
+from studies import tiny_study
 
 from tasklens.study.loading import load, parse, parts, whole_study_name
 from tasklens.study.study import Study

@@ -8,8 +8,9 @@ from pathlib import Path
 import pandas
 import pytest
 import torch
-from examples import f64, read_rows, tiny_study
+from examples import f64, read_rows
 from rules import finish
+from studies import tiny_study
 from tolerance_examples import doublet, grade
 
 from tasklens.camera.imaging import PsfCamera

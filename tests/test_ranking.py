@@ -10,7 +10,8 @@ import pytest
 import timm
 import torch
 import yaml
-from examples import measurement, random_images, trained_resnet, write_photographs
+from examples import random_images, trained_resnet, write_photographs
+from studies import measurement
 from typed_lenses import singlet
 
 import tasklens

@@ -5,7 +5,8 @@ from pathlib import Path
 import pytest
 import torch
 from designs import LIMITS, NO_LIMITS, VIEW, task_design, tiny_network
-from examples import changed, materials, tiny_study
+from examples import materials
+from studies import changed, tiny_study
 
 from tasklens.design import descents, least_squares, methods, optimizers, ray_space
 from tasklens.design.constraints import (

@@ -9,7 +9,8 @@ import time
 from pathlib import Path
 
 import pytest
-from examples import tiny_study, write
+from examples import write
+from studies import tiny_study
 
 from tasklens.cli.app import main
 from tasklens.runtime.progress import Progress, progress_file

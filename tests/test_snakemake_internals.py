@@ -7,10 +7,10 @@ import threading
 from types import SimpleNamespace
 
 import pytest
-from examples import one_lens, tiny_study
 from rules import ROOT, workflow
 from snakemake.scheduling.job_scheduler import JobRateLimiter
 from snakemake.settings.types import ExecMode, MaxJobsPerTimespan
+from studies import one_lens, tiny_study
 from workflows import forked, snakemake
 
 from tasklens.study.run import planning, snakemake_internals

@@ -3,7 +3,8 @@
 import pytest
 import torch
 from designs import LIMITS, SPEC, tiny_network
-from examples import changed, f64, materials, random_lens, tiny_study, write
+from examples import f64, materials, random_lens, write
+from studies import changed, tiny_study
 
 from tasklens.design import descents, methods
 from tasklens.design.constraints import manufacturing_margins, worst_margin

@@ -7,7 +7,8 @@ import re
 import jsonschema
 import pytest
 import yaml
-from examples import changed, studies_we_ship, tiny_study, with_imported, write
+from examples import write
+from studies import changed, studies_we_ship, tiny_study, with_imported
 
 from tasklens.materials.catalogues import PLASTICS, builtin
 from tasklens.settings.design_settings import LearningRates

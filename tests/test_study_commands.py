@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from examples import one_lens, write
+from examples import write
+from studies import one_lens
 from study_command import complaint, study
 
 from tasklens.study.loading import dump, parse

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 import torch
 from designs import GRADED, OWN, SELECTED
-from examples import changed, lens_and_view, lens_file, tiny_study
+from examples import lens_and_view
 from rules import finish
+from studies import changed, lens_file, tiny_study
 
 from tasklens.design.problem import Problem
 from tasklens.fields import CORNER, PAPER

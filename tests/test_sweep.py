@@ -8,8 +8,9 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import one_lens, write
+from examples import write
 from rules import finish
+from studies import one_lens
 from workflows import forked, snakemake
 
 from tasklens.cli.app import main

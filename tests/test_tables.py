@@ -8,7 +8,8 @@ from types import SimpleNamespace
 import pandas
 import pytest
 import yaml
-from examples import changed, lens_file, measurements_of, result, tiny_study, write
+from examples import write
+from studies import changed, lens_file, measurements_of, result, tiny_study
 from study_results import write_measurement
 
 from tasklens.settings.names import SHARP, measured_name

@@ -6,8 +6,9 @@ import pandas
 import pytest
 import torch
 import yaml
-from examples import BOXES, SEGMENTATION, TASK_TRAINING, changed, read_rows, tiny_study
+from examples import read_rows
 from rules import finish, job_of
+from studies import BOXES, SEGMENTATION, TASK_TRAINING, changed, tiny_study
 
 from tasklens.materials.catalogues import PLASTICS
 from tasklens.optics.io import prescription

@@ -6,7 +6,7 @@ from urllib.error import URLError
 import pytest
 import torch
 from designs import problem
-from examples import BOXES, MASKS, SEGMENTATION, TASK_TRAINING
+from studies import BOXES, MASKS, SEGMENTATION, TASK_TRAINING
 from torch import nn
 
 from tasklens.design.criteria import TaskLoss

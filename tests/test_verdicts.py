@@ -6,8 +6,8 @@ import numpy
 import pandas
 import pytest
 import yaml
-from examples import measurement, measurements_of
 from rules import finish
+from studies import measurement, measurements_of
 from study_results import DOUBLET, FIELDS, IMAGES, study_of, write_results
 
 from tasklens.runtime.files import FileError

@@ -6,8 +6,9 @@ from pathlib import Path
 import pandas
 import pytest
 import yaml
-from examples import changed, measurements_of, tiny_study, with_imported, write
+from examples import write
 from rules import finish, outputs
+from studies import changed, measurements_of, tiny_study, with_imported
 from study_results import write_measurement
 
 from tasklens.settings.names import SHARP

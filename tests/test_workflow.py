@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import pytest
 import rules
 import yaml
-from examples import changed, studies_we_ship, tiny_study
 from rules import ROOT, every_job, wildcards_of
+from studies import changed, studies_we_ship, tiny_study
 from workflows import forked, plan, smoke_with_imported
 
 from tasklens.study import table_contents

@@ -8,7 +8,8 @@ import time
 
 import pytest
 import yaml
-from examples import changed, one_lens, read_rows, tiny_study, write
+from examples import read_rows, write
+from studies import changed, one_lens, tiny_study
 from workflows import command, forked, plan, smoke_with_imported, snakemake
 
 from tasklens.cli.app import main

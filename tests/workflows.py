@@ -10,8 +10,9 @@ from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import yaml
-from examples import changed, make_lens
+from examples import make_lens
 from rules import ROOT, workflow
+from studies import changed
 
 from tasklens.optics.io import zemax
 from tasklens.optics.io.prescription import Prescription

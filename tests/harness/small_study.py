@@ -6,7 +6,7 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
 sys.path.insert(0, str(ROOT / "tests"))
-from examples import changed, tiny_study  # noqa: E402
+from studies import changed, tiny_study  # noqa: E402
 
 TARGETS = ["table1", "table4", "verdicts"]
 MEASURED = ("run.json", "effort.csv", "effort.md", "benchmarks", "logs", "studies", "locks")  # they differ by times
