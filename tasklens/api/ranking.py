@@ -178,7 +178,7 @@ def on_sharp_images(network: nn.Module, dataset: ImageDataset, outputs: str = "c
     if not answer.isfinite().all():
         raise InputError("rank: the network returns logits that are not finite")
     classifier.outputs = None if used is None else used.to(device)
-    accuracy = float(evaluation.evaluate(classifier, dataset, CapturePipeline()).correct.double().mean())
+    accuracy = float(evaluation.evaluate(classifier, dataset, CapturePipeline(), "sharp images").correct.double().mean())
     return OnSharpImages(classifier, dataset, accuracy, answer.shape[1] if used is None else len(used))
 
 

@@ -37,7 +37,7 @@ class Progress:
 
     def __init__(self, label: str, total: int, interval: float = 15.0):
         self.label, self.total, self.interval = label, total, interval
-        self.start = self.written = time.monotonic()
+        self.written = self.began = 0.0  # at the last line, and at the first
         self.first: int | None = None  # larger than 1 for a resumed job
 
     def __call__(self, step: int, **values: float) -> None:
@@ -48,15 +48,16 @@ class Progress:
             if not lines:
                 return
         now = time.monotonic()
-        if self.first is None:
-            self.first = step
-        if self.first < step != self.total and now - self.written < self.interval:
+        if self.first is None:  # this step may have compiled the tracer
+            self.first, self.began = step, now
+        elif step != self.total and now - self.written < self.interval:
             return
         self.written = now
-        remaining = (now - self.start) / (step - self.first + 1) * max(0, self.total - step)
         text = "".join(f"  {name} {value:.4g}" for name, value in values.items())
-        line = f"{self.label}  step {step}/{self.total}{text}  remaining {remaining:.0f} s"
-        print(line, file=sys.stderr, flush=True)
+        if self.first < step < self.total:
+            remaining = (now - self.began) / (step - self.first) * (self.total - step)
+            text += f"  remaining {remaining:.0f} s"
+        print(f"{self.label}  step {step}/{self.total}{text}", file=sys.stderr, flush=True)
 
 
 def _path(folder: str, label: str) -> Path:

@@ -1,7 +1,7 @@
 """Rays through all surfaces of a lens, compiled by numba: intersect, refract, propagate, one block after another.
 
 Rare cases (a difficult intersection, a loss) are processed ray by ray. There is no tape: derivatives trace a block
-again from the stored distances t. `reference` implements the same in plain autograd.
+again from the stored distances t. `reference_tracer` implements the same in plain autograd.
 """
 
 import numpy
