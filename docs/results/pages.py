@@ -180,8 +180,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--check", action="store_true")
     options = parser.parse_args()
-    named = [FOLDER.parents[1] / "README.md", *(FOLDER.parent / f"{name}.md" for name in ("results", "study", "tutorial"))]
-    pages = [*named, *sorted(FOLDER.glob("*/README.md"))]
+    named = (FOLDER.parent / f"{name}.md" for name in ("results", "study", "tutorial"))
+    pages = [FOLDER.parents[1] / "README.md", *named, *sorted(FOLDER.glob("*/README.md"))]
     different = [page for page in pages if page.read_text() != filled(page.read_text())]
     for page in different:
         if options.check:

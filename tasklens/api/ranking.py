@@ -178,7 +178,8 @@ def on_sharp_images(network: nn.Module, dataset: ImageDataset, outputs: str = "c
     if not answer.isfinite().all():
         raise InputError("rank: the network returns logits that are not finite")
     classifier.outputs = None if used is None else used.to(device)
-    accuracy = float(evaluation.evaluate(classifier, dataset, CapturePipeline(), "sharp images").correct.double().mean())
+    sharp = evaluation.evaluate(classifier, dataset, CapturePipeline(), "sharp images")
+    accuracy = float(sharp.correct.double().mean())
     return OnSharpImages(classifier, dataset, accuracy, answer.shape[1] if used is None else len(used))
 
 
