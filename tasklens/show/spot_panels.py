@@ -47,7 +47,7 @@ def draw_spots(part: SubFigure | Figure, panel: Panel) -> None:
         axes.set_xlabel(f"{sizes}, {lost:.1%} lost" if lost >= _LEAST_LABELLED else sizes, fontsize=8)
     scale_bar(all_axes[-1], "um")
     handles = [*all_axes[-1].get_legend_handles_labels()[0], *_ROUND]
-    part.legend(handles=handles, loc="outside upper center", ncol=7, fontsize=8, frameon=False)
+    part.legend(handles=handles, loc="outside upper center", ncol=7, fontsize=8, frameon=False, borderaxespad=0)
 
 
 def _um(value: float) -> str:
