@@ -24,6 +24,17 @@ def test_what_remains_is_forecast_from_the_steps_of_this_run(first, monkeypatch,
     assert lines[0] == f"design  step {first}/100  loss 0.5"
 
 
+def test_the_file_of_a_job_has_its_forecast(tmp_path, monkeypatch):
+    clock = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: clock[0])
+    with progress_file(tmp_path, "design/0"):
+        progress = Progress("design", 10)
+        for step, remaining in ((1, None), (2, 16.0), (3, 14.0)):
+            clock[0] += 2.0
+            progress(step)
+            assert read_progress(tmp_path, "design/0").get("remaining_s") == remaining
+
+
 def test_a_job_that_fails_leaves_no_progress(tmp_path, capsys):
     """Its log still has the progress lines."""
     with pytest.raises(ZeroDivisionError), progress_file(tmp_path, "design/0"):

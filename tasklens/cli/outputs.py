@@ -86,7 +86,7 @@ def progress_bars() -> Iterator[None]:
     with Progress(*columns, TextColumn("{task.fields[values]}"), console=Console(stderr=True)) as bars:
         tasks: dict[str, Any] = {}
 
-        def listen(label: str, step: int, total: int, values: Any) -> None:
+        def listen(label: str, step: int, total: int, values: Any, _: float | None) -> None:
             if label not in tasks or bars.tasks[tasks[label]].completed >= total > step:  # a new part of the same name
                 tasks[label] = bars.add_task(label, total=total, values="")
             first = next(iter(values.items()), None)

@@ -16,8 +16,9 @@ from typing import Any
 
 from tasklens.runtime.files import temporary_of
 
-# Called at every step with the label, the step (counted from 1), the number of steps and the values.
-Listener = Callable[[str, int, int, Mapping[str, float]], None]
+# Called at every step with the label, the step (counted from 1), the number of steps, the values, and the remaining
+# time [s], None at the first.
+Listener = Callable[[str, int, int, Mapping[str, float], float | None], None]
 _listeners: list[tuple[Listener, bool]] = []
 _INTERVAL_S = 1.0  # least time between two writes
 
@@ -42,20 +43,21 @@ class Progress:
 
     def __call__(self, step: int, **values: float) -> None:
         """Report that `step` of the total (counted from 1) is done."""
-        if _listeners:
-            listener, lines = _listeners[-1]
-            listener(self.label, step, self.total, values)
-            if not lines:
-                return
-        now = time.monotonic()
+        now, remaining = time.monotonic(), None
         if self.first is None:  # this step may have compiled the tracer
             self.first, self.began = step, now
-        elif step != self.total and now - self.written < self.interval:
+        elif step > self.first:
+            remaining = (now - self.began) / (step - self.first) * (self.total - step)
+        if _listeners:
+            listener, lines = _listeners[-1]
+            listener(self.label, step, self.total, values, remaining)
+            if not lines:
+                return
+        if self.first < step != self.total and now - self.written < self.interval:
             return
         self.written = now
         text = "".join(f"  {name} {value:.4g}" for name, value in values.items())
-        if self.first < step < self.total:
-            remaining = (now - self.began) / (step - self.first) * (self.total - step)
+        if remaining is not None and step != self.total:
             text += f"  remaining {remaining:.0f} s"
         print(f"{self.label}  step {step}/{self.total}{text}", file=sys.stderr, flush=True)
 
@@ -78,7 +80,7 @@ def progress_file(folder: str, label: str) -> Iterator[None]:
     path = _path(folder, label)
     path.parent.mkdir(parents=True, exist_ok=True)
     content: dict[str, Any] = {"host": socket.gethostname(), "pid": os.getpid(), "started": time.time()}
-    first, began, written = 0, 0.0, 0.0
+    written = 0.0
 
     def write() -> None:
         nonlocal written
@@ -90,16 +92,12 @@ def progress_file(folder: str, label: str) -> Iterator[None]:
         except OSError:  # on a full disk the job goes on without it
             temporary.unlink(missing_ok=True)
 
-    def listen(phase: str, step: int, total: int, values: Mapping[str, float]) -> None:
-        nonlocal first, began
-        now = time.monotonic()
-        if content.get("phase") != phase or step <= first:
-            first, began = step, now
-            content.pop("remaining_s", None)
+    def listen(phase: str, step: int, total: int, values: Mapping[str, float], remaining: float | None) -> None:
         content.update(phase=phase, step=step, total=total, values=dict(values))
-        if step > first:
-            content["remaining_s"] = (now - began) / (step - first) * (total - step)
-        if now - written >= _INTERVAL_S:
+        content.pop("remaining_s", None)
+        if remaining is not None:
+            content["remaining_s"] = remaining
+        if time.monotonic() - written >= _INTERVAL_S:
             write()
 
     write()
