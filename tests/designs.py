@@ -4,7 +4,8 @@ import torch
 from examples import by_descents, random_images
 from torch import nn
 
-from tasklens.design.criteria import ImageError, JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.criteria import JointTaskLoss, TaskLoss
+from tasklens.design.image_quality import ImageError, SpotRadius
 from tasklens.design.problem import Problem
 from tasklens.fields import GRADING, SELECTION, Points
 from tasklens.optics.lens import Lens

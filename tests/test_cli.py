@@ -14,7 +14,6 @@ from tasklens.cli.app import main
 from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.optics.io import prescription
 from tasklens.optics.io.prescription import Prescription
-from tasklens.runtime.files import FileError
 from tasklens.study.loading import load, parse
 
 STUDY = parse(tiny_study())
@@ -67,10 +66,3 @@ def test_an_imported_lens_goes_the_same_way(here, capsys):
     path.write_text(yaml.safe_dump(changed(study, "spec.field_of_view_deg", 120)))
     assert main(["study", "check", "--no-weight-files", "imported.yaml"]) == 2
     assert "theirs.yaml: does not cover the field" in capsys.readouterr().err
-
-
-def test_a_broken_lens_file_is_a_message_too(here):
-    for name in ("lens.yaml", "psf.safetensors"):
-        write(lens_file("tiny", "singlet-imaging1", 5, name), "format: 2\n")
-    with pytest.raises(FileError, match=r"seed5/lens\.yaml: "):
-        finish("certificate", STUDY, lens="singlet-imaging1", seed=5)

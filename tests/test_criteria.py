@@ -1,4 +1,4 @@
-"""Criteria of a design: contrast of PSFs, correlation of captures, temperature of logits."""
+"""Criteria of a design: contrast of PSFs, correlation and Wiener error of captures, temperature of logits."""
 
 import math
 from dataclasses import replace
@@ -8,7 +8,7 @@ import torch
 from designs import LIMITS, VIEW, problem
 from examples import by_descents, difference, f64, materials, random_images, rays_on_image
 
-from tasklens.design.criteria import Contrast, Correlation, ImageError, SpotRadius
+from tasklens.design.image_quality import Contrast, Correlation, ImageError, SpotRadius, WienerError
 from tasklens.design.objective import Objective
 from tasklens.design.ray_space import as_saved
 from tasklens.design.start import flat
@@ -117,6 +117,20 @@ def test_correlation_does_not_see_haze():
     torch.testing.assert_close(Correlation().losses(0.4 * captures + veil, images, labels), loss, rtol=1e-12, atol=0)
     assert (Correlation().losses(images, images, labels).abs() < 1e-12).all() and (loss > 0.1).all()
     assert float(Correlation().losses(-images, images, labels).mean()) == pytest.approx(2)
+
+
+def test_wiener_error_is_that_of_least_squares_on_shifted_captures():
+    """By a filter of 7 x 7 pixels for each colour; noise-free shifts and inversions cost nothing."""
+    sharp, labels = random_images(2, 24, 3, seed=0).images.double() / 255, torch.zeros(2)
+    noise = torch.randn(sharp.shape, generator=torch.Generator().manual_seed(0))
+    captures = torch.nn.functional.avg_pool2d(sharp, 3, 1, 1) + 0.02 * noise
+    c, s = (v - v.mean((-2, -1), keepdim=True) for v in (captures, sharp))
+    shifted = [c.roll((y, x), (-2, -1)).flatten(2) for y in range(-3, 4) for x in range(-3, 4)]
+    columns, target = torch.stack(shifted, -1), s.flatten(2)[..., None]
+    rest = target - columns @ torch.linalg.lstsq(columns, target).solution
+    expected = rest.square().sum((1, 2, 3)) / s.square().sum((1, 2, 3))
+    torch.testing.assert_close(WienerError().losses(captures, sharp, labels), expected, rtol=1e-3, atol=0)
+    assert WienerError().losses(1 - sharp.roll((3, -2), (-2, -1)), sharp, labels).max() < 1e-3
 
 
 def test_temperature_softens_confident_wrong_answers():

@@ -11,8 +11,9 @@ from studies import changed, tiny_study
 
 from tasklens.design import least_squares, methods
 from tasklens.design.constraints import _INCIDENT, incidence_penalty
-from tasklens.design.criteria import JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.criteria import JointTaskLoss, TaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.image_quality import SpotRadius
 from tasklens.design.objective import Objective
 from tasklens.design.optimizers import AdamWOptimizer
 from tasklens.design.problem import Problem

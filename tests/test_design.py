@@ -12,8 +12,9 @@ from torch import nn
 
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design import methods
-from tasklens.design.criteria import ImageError, TaskLoss, loss_at_psf
+from tasklens.design.criteria import TaskLoss, loss_at_psf
 from tasklens.design.descent import divergence
+from tasklens.design.image_quality import ImageError
 from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.variables import Variables

@@ -14,7 +14,8 @@ from torch import nn
 import tasklens
 from tasklens.camera.imaging import PsfCamera
 from tasklens.design.constraints import all_margins, limit_margins, worst_margin
-from tasklens.design.criteria import Contrast, SpotRadius, TaskLoss
+from tasklens.design.criteria import TaskLoss
+from tasklens.design.image_quality import Contrast, SpotRadius
 from tasklens.design.merit import limit_semi_diameters
 from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem

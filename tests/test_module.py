@@ -11,7 +11,7 @@ from studies import one_lens
 from workflows import forked, plan, snakemake
 
 from tasklens.settings.names import SHARP
-from tasklens.study.loading import load, parse
+from tasklens.study.loading import parse
 
 ONE_LENS = one_lens(tables=["table1"])
 
@@ -50,24 +50,22 @@ def test_studies_by_their_names_in_one_run(tmp_path):
     (tmp_path / "config").mkdir()
     (tmp_path / "config/tiny.yaml").write_text(yaml.safe_dump(ONE_LENS))
     (tmp_path / "config/tiny2.yaml").write_text("{name: tiny2, extends: tiny, seeds: [0, 1]}")
-    smoke = load(ROOT / "config" / "smoke.yaml")
     targets = ["results/tiny/report.html", "results/tiny2/tables/table1.csv", "results/smoke/images/train.npy"]
     jobs = plan(tmp_path, None, *targets, "--config", "seeds=[4]")
     assert jobs["design"] == 3 and jobs["images"] == 3 and jobs["fine_tune"] == 2 * 3
     assert [jobs[rule] for rule in ("report_page", "captures", "verdicts_table")] == [1, 1, 1]  # of tiny
-    assert smoke.name == "smoke"
     assert plan(tmp_path, None, "table1", "--config", "study=tiny2", "seeds=[4, 5, 6]")["design"] == 3
-    status, output = forked(tmp_path, None, "--dry-run", "--config", "study=absent")
-    assert status != 0 and "absent.yaml: no such study" in output and "Traceback" not in output
     (tmp_path / "config/other.yaml").write_text("{name: another, extends: tiny}")
-    status, output = forked(tmp_path, None, "--dry-run", "results/other/report.html")
-    assert status != 0 and "name = another: expected other" in output
-    status, output = forked(tmp_path, ONE_LENS, "--dry-run", "--config", "study=tiny")
-    assert status != 0 and "expected one of them" in output
-    status, output = forked(tmp_path, None, "--dry-run", "results/absent/report.html")
-    assert status != 0 and "absent.yaml: no such study" in output
-    status, output = forked(tmp_path, None, "--dry-run", "results/tiny/lenses/singlet-nobody/seed0/lens.yaml")
-    assert status != 0 and "unknown lens 'singlet-nobody'; expected one of singlet-imaging1" in output
+    unknown = "results/tiny/lenses/singlet-nobody/seed0/lens.yaml"
+    for study, options, words in [
+        (None, ["--config", "study=absent"], "absent.yaml: no such study"),
+        (None, ["results/other/report.html"], "name = another: expected other"),
+        (ONE_LENS, ["--config", "study=tiny"], "expected one of them"),
+        (None, ["results/absent/report.html"], "absent.yaml: no such study"),
+        (None, [unknown], "unknown lens 'singlet-nobody'; expected one of singlet-imaging1"),
+    ]:
+        status, output = forked(tmp_path, study, "--dry-run", *options)
+        assert status != 0 and words in output and "Traceback" not in output
 
 
 def test_a_study_that_we_ship_is_planned_elsewhere(tmp_path):

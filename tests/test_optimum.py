@@ -8,7 +8,7 @@ from designs import LIMITS, VIEW, problem
 from examples import by_descents, materials
 
 from tasklens.design import criteria
-from tasklens.design.criteria import Contrast, ImageError, SpotRadius
+from tasklens.design.image_quality import Contrast, ImageError, SpotRadius
 from tasklens.design.objective import Objective
 from tasklens.design.optimum import local_optimum
 from tasklens.design.ray_space import RaySpace, as_saved

@@ -16,8 +16,8 @@ from tasklens.design.constraints import (
     manufacturing_margins,
     worst_margin,
 )
-from tasklens.design.criteria import SpotRadius
 from tasklens.design.descent import Descent
+from tasklens.design.image_quality import SpotRadius
 from tasklens.design.objective import Objective
 from tasklens.design.problem import Problem
 from tasklens.design.ray_space import HARD, SOFT, LinearModel, RaySpace, as_saved, repair

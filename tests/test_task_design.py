@@ -13,8 +13,9 @@ from torch.nn.functional import interpolate
 
 from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.design.constraints import manufacturing_margins
-from tasklens.design.criteria import ImageError, JointTaskLoss
+from tasklens.design.criteria import JointTaskLoss
 from tasklens.design.descent import Descent
+from tasklens.design.image_quality import ImageError
 from tasklens.design.objective import SELECTION_IMAGES, VALIDATION_IMAGES, Objective
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat

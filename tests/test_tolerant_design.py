@@ -9,7 +9,8 @@ from designs import problem, task_design, tiny_network
 from examples import f64
 
 from tasklens.design import objective
-from tasklens.design.criteria import Contrast, TaskLoss
+from tasklens.design.criteria import TaskLoss
+from tasklens.design.image_quality import Contrast
 from tasklens.design.objective import Objective
 from tasklens.optics.analysis.pupil import sobol_disc
 from tasklens.optics.analysis.spots import trace_fields

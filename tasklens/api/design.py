@@ -133,5 +133,4 @@ def verdict(result: Designs, unused: ImageDataset) -> tuple[str, Ranking]:
         f"starts and effort ({best}, chosen on photographs of the design): {gain:+.1f} points ({low:+.1f} to "
         f"{high:+.1f}), {answer}. The interval is over the photographs; it is one design of each kind."
     )
-    words = " ".join([words, *between_fields.warnings(ranking.correct, ranking.at_nine)])
-    return words, ranking
+    return " ".join([words, *between_fields.warnings(ranking.correct, ranking.at_nine)]), ranking

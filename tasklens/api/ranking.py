@@ -135,7 +135,10 @@ def rank(
         warnings.warn(f"rank: {error}", stacklevel=3)
     except InputError as error:
         raise InputError(f"rank: {error}") from None
-    return measure_lenses(lenses, subject, rays)
+    ranking = measure_lenses(lenses, subject, rays)
+    for sentence in between_fields.warnings(ranking.correct, ranking.at_nine):
+        warnings.warn(f"rank: {sentence}", stacklevel=3)
+    return ranking
 
 
 @dataclass(frozen=True)
@@ -191,8 +194,6 @@ def measure_lenses(lenses: Mapping[str, tuple[Lens, View]], subject: OnSharpImag
         if remark := window_remark(inside, view.kernel_size):
             warnings.warn(f"rank: {name}: {remark}", stacklevel=4)
         at_nine[name], _ = predictions(subject, lens, view, (PAPER,), name, rays)
-    for sentence in between_fields.warnings(correct, at_nine):
-        warnings.warn(f"rank: {sentence}", stacklevel=4)
     table = report.rank_lenses(correct, at_nine)
     figures, drawings = [], {}
     for name in table["lens"]:

@@ -1,4 +1,4 @@
-"""Criteria of a design: a network's loss, the error of the image, the contrast of the PSF, the spot radius.
+"""Criteria of a design: a loss of captures, of PSFs or of rays, and the loss of a network.
 
 For captures the gradient is computed in stages. The criterion, with its network if it has one, runs in micro-batches of
 captures, and each gives dL/dcapture. Then one backward pass through the convolutions gives dL/dPSF, and one more passes
@@ -10,7 +10,6 @@ import math
 from abc import abstractmethod
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from typing import Any
 
 import torch
@@ -20,7 +19,7 @@ from tasklens.camera.imaging import PsfCamera
 from tasklens.design.objective import VALIDATION_RAYS, Batch, Criterion, Loss, Objective
 from tasklens.design.optimizers import cosine
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import centroid, trace_fields
+from tasklens.optics.analysis.spots import trace_fields
 from tasklens.optics.lens import Lens
 from tasklens.optics.rays import Rays
 from tasklens.optics.view import View
@@ -29,7 +28,6 @@ from tasklens.recognition.training import parameter_groups
 from tasklens.settings.capture_settings import CaptureSettings
 
 _WEIGHT_DECAY = 0.05  # for a network that is trained with a lens
-_FREQUENCIES = (0.125, 0.25)  # a quarter and a half of the Nyquist frequency, for the contrast [cycles per pixel]
 
 
 def loss_at_psf(
@@ -205,78 +203,3 @@ class JointTaskLoss(TaskLoss):
             yield
         finally:
             self.network.train()
-
-
-@dataclass(frozen=True)
-class ImageError(CaptureCriterion):
-    """Mean squared error between capture and sharp image (paper, Eq. 2), or its natural logarithm.
-
-    The logarithm is the PSNR up to a factor. It weights images of low contrast and nearly sharp fields like all others.
-    """
-
-    logarithm: bool
-
-    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the error (N,)."""
-        error = (captures - images).square().mean((-3, -2, -1))
-        return error.clamp(min=1e-12).log() if self.logarithm else error
-
-
-@dataclass(frozen=True)
-class Correlation(CaptureCriterion):
-    """Lost correlation 1 - r of capture c and sharp image s.
-
-    r = <c - mean c, s - mean s> / (|c - mean c| |s - mean s|)
-
-    Means are over the pixels of each colour, the product and norms over all values. The loss does not change if the
-    capture is scaled or brightened, for example by haze.
-    """
-
-    def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:
-        """Compute the loss (N,)."""
-        c, s = ((v - v.mean((-2, -1), keepdim=True)).flatten(1) for v in (captures, images))
-        return 1 - (c * s).sum(1) / (c.norm(dim=1) * s.norm(dim=1)).clamp(min=1e-12)
-
-
-class SpotRadius(FieldCriterion):
-    """RMS spot radius sqrt(mean(r^2)) about the polychromatic centroid [mm]; a lost ray counts as 1 mm away."""
-
-    scales_with_stop = True
-    by_psf = False
-
-    def of_fields(self, rays: Rays, grid: Tensor | None, view: View) -> Tensor:
-        """Compute the radius (F,) of each field."""
-        middle = centroid(rays)
-        squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
-        return torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt()
-
-
-class Contrast(FieldCriterion):
-    """Contrast lost at a quarter and a half of the Nyquist frequency: 1 - Re(OTF), without images.
-
-    OTF(f) = sum_p PSF(p) exp(-2 pi i f.p), with p from the centre of the window. It is the mean over colours, over both
-    frequencies, and over gratings across the field (tangential) and along it. The real part penalises a shifted or
-    reversed contrast; the modulus, the MTF, does not. Descents on the MTF led to lenses of high MTF whose captures
-    classifiers read worse (docs/notes/baselines.md).
-    """
-
-    def of_fields(self, rays: Rays, grid: Tensor | None, view: View) -> Tensor:
-        """Compute the loss (F,) of PSFs."""
-        assert grid is not None  # by_psf
-        return self.losses(grid, view.directions)
-
-    def losses(self, grid: Tensor, directions: Tensor) -> Tensor:
-        """Compute the loss (F,) of PSFs (F, W, K, K); light outside the window has no contrast.
-
-        Args:
-            directions: (F, 2) unit vectors of the tangential direction, as `View.directions`.
-        """
-        pixel = torch.arange(grid.shape[-1], dtype=grid.dtype) - grid.shape[-1] // 2
-        ex, ey = directions.to(grid).unbind(-1)
-        contrasts = []
-        for dx, dy in ((ex, ey), (-ey, ex)):
-            position = dx[:, None, None] * pixel + dy[:, None, None] * pixel[:, None]
-            for frequency in _FREQUENCIES:
-                wave = torch.cos(2 * math.pi * frequency * position)
-                contrasts.append((grid * wave[:, None]).sum((-2, -1)).mean(-1))
-        return 1 - torch.stack(contrasts).mean(0)

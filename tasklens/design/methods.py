@@ -11,7 +11,8 @@ from torch import Tensor, nn
 
 from tasklens.design import descents, least_squares
 from tasklens.design.constraints import limit_margins, smallest_margins, worst_margin
-from tasklens.design.criteria import Contrast, Correlation, ImageError, JointTaskLoss, SpotRadius, TaskLoss
+from tasklens.design.criteria import JointTaskLoss, TaskLoss
+from tasklens.design.image_quality import CRITERIA
 from tasklens.design.objective import Criterion, Objective
 from tasklens.design.optimum import local_optimum
 from tasklens.design.problem import History, Problem
@@ -92,28 +93,21 @@ def design(
         return TaskLoss(network, task or Classification(temperature))
 
     def criterion(part: DescentSettings) -> Criterion:
-        match part.criterion:
-            case "task" if part.network_learning_rate is not None:
-                joint, rate = copy.deepcopy(classifier), part.network_learning_rate
-                assert joint is not None
-                return JointTaskLoss(joint, rate, part.steps, part.final, task or Classification(part.temperature))
-            case "task":
-                return frozen_loss(part.temperature)
-            case "spot":
-                return SpotRadius()
-            case "correlation":
-                return Correlation()
-            case "contrast":
-                return Contrast()
-        return ImageError(logarithm=part.criterion == "log_image_error")
+        if part.criterion != "task":
+            return CRITERIA[part.criterion]
+        if part.network_learning_rate is None:
+            return frozen_loss(part.temperature)
+        joint, rate = copy.deepcopy(classifier), part.network_learning_rate
+        assert joint is not None
+        return JointTaskLoss(joint, rate, part.steps, part.final, task or Classification(part.temperature))
 
     start, origin["start"] = flat(plan.entry.plastics, plan.spec, plan.constraints), "flat"
-    candidates = {} if accuracies else starts
+    candidates = starts
     if accuracies:
         best = origin["start"] = max(accuracies, key=lambda name: accuracies[name])
         start = _prepared_start(starts[best], settings.keep_apertures)
-        if not settings.descents[-1].trains_network:  # then the start is the result if the descents do not improve it
-            candidates = {best: starts[best]}
+        # With a frozen network, the start is the result if the descents do not improve it.
+        candidates = {} if settings.descents[-1].trains_network else {best: starts[best]}
     prepared = {name: _prepared_start(lens, settings.keep_apertures) for name, lens in candidates.items()}
     with nullcontext() if plan.entry.reads_images else single_thread():  # without images all tensors are small
         lens, details, history, objective = descents.design(start, prepared, criterion, problem, settings, checkpoint)

@@ -24,6 +24,7 @@ from tasklens.settings.least_squares_settings import LeastSquaresSettings
 from tasklens.settings.tolerance_settings import Grade
 
 VariableName = Literal["curvature", "thickness", "alpha_4", "alpha_6", "alpha_8", "alpha_10"]
+CriterionName = Literal["task", "spot", "image_error", "log_image_error", "correlation", "wiener_error", "contrast"]
 SurfaceNumber = Annotated[int, Field(ge=0, le=1000)]
 
 STARTS = ("flat", "best_imaging", "best_spot")  # starts with a keyword
@@ -77,12 +78,13 @@ class DescentSettings(Frozen):
         description="ray_space: steps of a given ray displacement on the sensor, with a Gauss-Newton metric of the "
         "rays; adamw: AdamW on the parameters, as in the paper.",
     )
-    criterion: Literal["task", "spot", "image_error", "log_image_error", "correlation", "contrast"] = Field(
+    criterion: CriterionName = Field(
         "task",
         description="Loss per field. task: the network's loss in its task, for a classifier the cross-entropy; spot: "
-        "the RMS spot radius [mm]; image_error, log_image_error, correlation: of captures, the mean squared error "
-        "from the sharp image (paper, Eq. 2), its logarithm, or 1 - their normalised correlation; contrast: of PSFs, "
-        "the contrast (real part of the OTF) lost at 1/4 and 1/2 of the Nyquist frequency of the current pixels.",
+        "the RMS spot radius [mm]; image_error, log_image_error, correlation, wiener_error: of captures, the mean "
+        "squared error from the sharp image (paper, Eq. 2), its logarithm, 1 - their normalised correlation, or the "
+        "error after the best linear filter; contrast: of PSFs, the contrast (real part of the OTF) lost at 1/4 and "
+        "1/2 of the Nyquist frequency of the current pixels.",
     )
     temperature: Magnification = Field(
         1.0, description="T of the loss T cross_entropy(logits / T): above 1, confident wrong answers weigh less."

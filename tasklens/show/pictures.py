@@ -1,4 +1,4 @@
-"""Pages as single files: templates with the style sheet, pictures and files as data URIs."""
+"""Pages as single files: templates with the style sheet, vector figures, pictures and files as data URIs."""
 
 import base64
 import io
@@ -6,18 +6,18 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
+import matplotlib
 import numpy
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from matplotlib.figure import Figure
 from PIL import Image
 
-_TYPES = {
-    ".svg": "image/svg+xml",
-    ".webp": "image/webp",
-    ".png": "image/png",
-    ".yaml": "application/yaml",
-    ".zmx": "application/octet-stream",
-    ".agf": "application/octet-stream",
-}
+# Text stays text, and equal figures are equal files.
+STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
+METADATA = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
+
+_TYPES = {".svg": "image/svg+xml", ".webp": "image/webp", ".png": "image/png"}
+_DOWNLOAD = "application/octet-stream"
 _QUALITY = 82  # of WebP
 
 
@@ -30,9 +30,17 @@ def render(package: str, template: str, **values: Any) -> str:
     return environment.get_template(template).render(css=css, **values)
 
 
+def svg(figure: Figure) -> str:
+    """Return a figure as SVG."""
+    text = io.StringIO()
+    with matplotlib.rc_context(STYLE):
+        figure.savefig(text, format="svg", metadata=METADATA["svg"])
+    return text.getvalue()
+
+
 def link(path: Path) -> str:
     """Return a file as a data URI."""
-    return _data(_TYPES[path.suffix], path.read_bytes())
+    return _data(_TYPES.get(path.suffix, _DOWNLOAD), path.read_bytes())
 
 
 def of_array(image: numpy.ndarray) -> str:
@@ -48,4 +56,4 @@ def _data(kind: str, content: bytes) -> str:
 
 def of_text(text: str, suffix: str = ".yaml") -> str:
     """Return a text as a data URI; its suffix says whether it is YAML or SVG."""
-    return _data(_TYPES[suffix], text.encode())
+    return _data(_TYPES.get(suffix, _DOWNLOAD), text.encode())

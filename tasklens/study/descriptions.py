@@ -9,6 +9,7 @@ _CRITERIA = {
     "image_error": "the squared error of the captures",
     "log_image_error": "the logarithm of the squared error of the captures (PSNR)",
     "correlation": "the correlation of captures and sharp images",
+    "wiener_error": "the error of the captures after the best linear filter",
     "contrast": "the contrast (real part of the OTF) at a quarter and half of the Nyquist frequency",
 }
 
