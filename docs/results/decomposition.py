@@ -25,7 +25,7 @@ import pandas
 from matplotlib.figure import Figure
 from scipy.stats import t
 
-from tasklens.show import bootstrap, pictures
+from tasklens.show import bootstrap, vector_files
 from tasklens.study.report import answers_file, verdicts
 from tasklens.study.report.answers_file import PackedMeasurements
 
@@ -151,7 +151,7 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
     columns = min(3, len(panels))
     count = math.ceil(len(panels) / columns)
     steps = list(STEPS)[1:]
-    with matplotlib.rc_context({**pictures.STYLE, "font.size": 9}):
+    with matplotlib.rc_context({**vector_files.STYLE, "font.size": 9}):
         figure = Figure(figsize=(2.4 + 2.8 * columns, 0.6 + 2.4 * count), layout="constrained")
         axes = figure.subplots(count, columns, sharex=True, sharey=True, squeeze=False)
         for axis in axes.flat[len(panels) :]:
@@ -181,7 +181,7 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
             "numbers: accuracy [%]; open symbols: at the paper's nine fields, or at nine without the corner"
         )
         figure.supxlabel(label, fontsize="medium")
-        figure.savefig(path, format="svg", metadata=pictures.METADATA["svg"])
+        figure.savefig(path, format="svg", metadata=vector_files.METADATA["svg"])
 
 
 def differs(study: str, table: pandas.DataFrame) -> bool:

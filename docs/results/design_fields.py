@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from tasklens.fields import GRADING_CENTRES, PAPER
 from tasklens.settings.field_settings import radii
-from tasklens.show import pictures
+from tasklens.show import vector_files
 from tasklens.study import loading
 from tasklens.study.report import answers_file
 
@@ -38,7 +38,7 @@ def rows(name: str) -> pandas.DataFrame:
 
 def draw(table: pandas.DataFrame, path: Path) -> None:
     """Draw accuracy over radius: a panel per ablation, a curve per lens, and the nine fields as dots."""
-    with matplotlib.rc_context({**pictures.STYLE, "font.size": 9}):
+    with matplotlib.rc_context({**vector_files.STYLE, "font.size": 9}):
         figure = Figure(figsize=(8, 2.8), layout="constrained")
         for axes, (name, part) in zip(figure.subplots(1, 2, sharey=True), table.groupby("ablation"), strict=True):
             for radius in {*part.loc[part["fields"] == "nine", "radius"].round(4)}:
@@ -54,7 +54,7 @@ def draw(table: pandas.DataFrame, path: Path) -> None:
             axes.spines[["top", "right"]].set_visible(False)
         figure.axes[0].set_ylabel("accuracy [%]")
         figure.axes[0].legend(title="loss at", frameon=False)
-        figure.savefig(path, format="svg", metadata=pictures.METADATA["svg"])
+        figure.savefig(path, format="svg", metadata=vector_files.METADATA["svg"])
 
 
 if __name__ == "__main__":

@@ -20,7 +20,7 @@ from tasklens.optics.analysis.spots import lit_semi_diameters, spot_diagram
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View
 from tasklens.runtime.files import replacing
-from tasklens.show import pictures
+from tasklens.show import vector_files
 from tasklens.show.cross_section import cross_section
 from tasklens.show.curves import draw_curves, draw_focus, draw_ray_fans, draw_sharpness
 from tasklens.show.panel import RIM, Panel
@@ -76,11 +76,11 @@ def save(figure: Figure, paths: Sequence[Path], dpi: int = _DPI) -> None:
         layout.execute(figure)
         figure.set_layout_engine("none")
         _round(figure)
-    with matplotlib.rc_context(pictures.STYLE):
+    with matplotlib.rc_context(vector_files.STYLE):
         for path in paths:
             kind = path.suffix.removeprefix(".")
             with replacing(path) as temporary:
-                figure.savefig(temporary, dpi=dpi, format=kind, metadata=pictures.METADATA.get(kind))
+                figure.savefig(temporary, dpi=dpi, format=kind, metadata=vector_files.METADATA.get(kind))
 
 
 def _round(part: Figure | SubFigure) -> None:
@@ -115,7 +115,7 @@ def section_svg(lens: Lens, view: View) -> str:
     used = torch.minimum(lens.semi_diameter, RIM * lit_semi_diameters(lens, view))
     lens = replace(lens, semi_diameter=torch.where(used > 0, used, lens.semi_diameter))
     cross_section(figure.subplots(), lens, view)
-    return pictures.svg(figure)
+    return vector_files.svg(figure)
 
 
 def draw_section(part: SubFigure | Figure, panel: Panel) -> None:

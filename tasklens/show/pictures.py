@@ -1,4 +1,4 @@
-"""Pages as single files: templates with the style sheet, vector figures, pictures and files as data URIs."""
+"""Pages as single files: templates with the style sheet, pictures and files as data URIs."""
 
 import base64
 import io
@@ -6,15 +6,9 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy
 from jinja2 import Environment, PackageLoader, StrictUndefined
-from matplotlib.figure import Figure
 from PIL import Image
-
-# Text stays text, and equal figures are equal files.
-STYLE: Any = {"svg.fonttype": "none", "svg.hashsalt": "tasklens", "pdf.fonttype": 42}
-METADATA = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}
 
 _TYPES = {".svg": "image/svg+xml", ".webp": "image/webp", ".png": "image/png"}
 _DOWNLOAD = "application/octet-stream"
@@ -28,14 +22,6 @@ def render(package: str, template: str, **values: Any) -> str:
     )
     css = (resources.files(__package__) / "page.css").read_text(encoding="utf-8")
     return environment.get_template(template).render(css=css, **values)
-
-
-def svg(figure: Figure) -> str:
-    """Return a figure as SVG."""
-    text = io.StringIO()
-    with matplotlib.rc_context(STYLE):
-        figure.savefig(text, format="svg", metadata=METADATA["svg"])
-    return text.getvalue()
 
 
 def link(path: Path) -> str:

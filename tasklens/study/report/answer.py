@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from tasklens.runtime.files import write_text
-from tasklens.show import pictures
+from tasklens.show import vector_files
 from tasklens.study.report.page import words
 
 _TASK, _OTHER, _NEUTRAL = "#0072B2", "#D55E00", "#777777"  # Okabe and Ito
@@ -46,7 +46,7 @@ def draw(
     panels[-1][1].xaxis.set(major_locator=LogLocator(subs=(1, 3)), major_formatter="{x:g}")
     panels[-1][1].xaxis.set_minor_formatter(NullFormatter())
     figure.align_ylabels(panels[:, 0])
-    write_text(path, pictures.svg(figure))
+    write_text(path, vector_files.svg(figure))
 
 
 def _differences(axes: Axes, rows: pandas.DataFrame, elements: str) -> None:

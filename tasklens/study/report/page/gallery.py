@@ -10,7 +10,7 @@ import pandas
 from matplotlib.figure import Figure
 
 from tasklens.runtime.files import read_yaml
-from tasklens.show import pictures
+from tasklens.show import pictures, vector_files
 from tasklens.show.glance import fields_by_angle
 from tasklens.study.report.measurements import FIELD, lens_values
 from tasklens.study.report_jobs import ReportJob
@@ -128,4 +128,4 @@ def _accuracy_svg(points: Sequence[tuple[float, float]], seen: Sequence[float]) 
         axes.plot(*zip(*points, strict=True), "o-", color="#0072B2", markersize=3, linewidth=1.2)
         axes.set(xlabel="distance from the axis [of the corner]", ylabel="accuracy [%]", xlim=(0, 1.02))
         axes.spines[["top", "right"]].set_visible(False)
-        return pictures.svg(figure)
+        return vector_files.svg(figure)
