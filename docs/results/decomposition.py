@@ -1,11 +1,12 @@
 """Decompose the gain of task-driven design: `python docs/results/decomposition.py STUDY [STUDY ...] [--check]`.
 
-From least squares to squared error or PSNR, to image correlation, to the same with a heavier weight of the corner:
-accuracy of each step and its difference from the step before. Then four kinds of task-driven design, each compared with
-the best lens for image quality, and with least squares. Intervals are over seeds and images (95 %). A sweep over
-`images.seed` counts as one study, with Student's interval over its points, and p-values of the task-driven kinds after
-Holm's correction. There are also the differences at the paper's nine fields or, for lenses that were designed and
-graded only there, without the corner field; and the lowest and highest difference without one of the fields.
+From least squares to squared error or PSNR, to image correlation, to the same with a heavier weight of the corner, to
+the error after the best linear filter: accuracy of each step and its difference from the step before. Then four kinds
+of task-driven design, each compared with the best lens for image quality, and with least squares. Intervals are over
+seeds and images (95 %). A sweep over `images.seed` counts as one study, with Student's interval over its points, and
+p-values of the task-driven kinds after Holm's correction. There are also the differences at the paper's nine fields or,
+for lenses that were designed and graded only there, without the corner field; and the lowest and highest difference
+without one of the fields.
 
 The program reads the published answers of studies (folders of docs/results), and writes decomposition.csv, of all
 networks, and decomposition.svg, of the network that supervised the designs.
@@ -35,6 +36,7 @@ STEPS = {  # designs of each step; of several, the one with the best minival acc
     "squared error or PSNR": ("image_psnr", "image_error"),
     "image correlation": ("image_correlation", "image_correlation_flat"),
     "image correlation, corner weighted": ("image_corner", "image_centre"),
+    "error after the best linear filter": ("image_wiener",),
     "task, from flat plates": ("tasklens",),
     "task, from an image-quality lens": ("tasklens_from_quality",),
     "task, network trained jointly": ("tasklens_joint",),
@@ -42,7 +44,7 @@ STEPS = {  # designs of each step; of several, the one with the best minival acc
 }
 QUALITY = (
     *("image_psnr", "image_error", "image_contrast"),
-    *("image_correlation", "image_correlation_flat", "image_corner", "image_centre"),
+    *("image_correlation", "image_correlation_flat", "image_corner", "image_centre", "image_wiener"),
 )
 _FIRST = "least squares"
 _BEST = "best lens for image quality"
