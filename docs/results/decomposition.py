@@ -26,6 +26,7 @@ import pandas
 from matplotlib.figure import Figure
 from scipy.stats import t
 
+from tasklens.fields import PAPER
 from tasklens.show import bootstrap, vector_files
 from tasklens.study.report import answers_file, verdicts
 from tasklens.study.report.answers_file import PackedMeasurements
@@ -55,8 +56,8 @@ _KEYS = ["study", "elements", "classifier", "step", "compared_with", "fields"]
 def rows(study: str) -> pandas.DataFrame:
     """Return a row for each number of elements, network, step and set of fields of a study."""
     points = sorted((FOLDER / study).glob("images.seed=*/verdicts.npz"))
-    if not points:
-        return rows_of_file(study, FOLDER / study / "verdicts.npz")
+    if len(points) < 2:
+        return rows_of_file(study, next(iter(points), FOLDER / study / "verdicts.npz"))
     groups = pandas.concat([rows_of_file(study, path) for path in points]).groupby(_KEYS, sort=False)
     table = groups[["accuracy", "difference", "lowest", "highest"]].mean()
     error, freedom = groups["difference"].sem(), len(points) - 1
@@ -79,20 +80,22 @@ def rows_of_file(study: str, path: Path) -> pandas.DataFrame:
         for step, designs in {**STEPS, _BEST: QUALITY}.items():
             lenses = [lens for name in designs if (lens := f"{elements}-{name}", classifier) in measured]
             chosen = _choose(step, lenses, classifier, chosen, claims.seeds) if lenses else chosen
-        other_fields = (
-            (_NINE, replace(chosen, answers=chosen.at_nine)) if chosen.at_nine else (_WITHOUT, _without(chosen, -1))
-        )
+        fields = [(_ALL, chosen)]
+        if chosen.at_nine:
+            fields.append((_NINE, replace(chosen, answers=chosen.at_nine)))
+        elif len(PAPER) in {frame.shape[1] for frame in packed.answers.values()}:
+            fields.append((_WITHOUT, _without(chosen, -1)))
         steps = [step for step in (*STEPS, _BEST) if (step, classifier, claims.seeds[0]) in chosen.answers]
         for step in (step for step in steps if step != _BEST):
             by_task = step.startswith("task")
             others = [name for name in (_BEST, _FIRST) if name in steps] if by_task else [before]
-            for other, (fields, measurements) in product(others, ((_ALL, chosen), other_fields)):
+            for other, (place, measurements) in product(others, fields):
                 keys = dict(zip(_KEYS, (study, elements, classifier, step, other), strict=False))
-                row = keys | {"fields": fields, "seeds": len(claims.seeds)}
+                row = keys | {"fields": place, "seeds": len(claims.seeds)}
                 row["accuracy"] = _accuracy(step, classifier, measurements, claims.seeds)
                 if other:
                     row |= _difference(step, other, classifier, measurements, claims.seeds)
-                if other and fields == _ALL:
+                if other and place == _ALL:
                     row |= _range(step, other, classifier, chosen, claims.seeds)
                 table.append(row)
             before = before if by_task else step

@@ -52,9 +52,10 @@ class WienerError(CaptureCriterion):
 
     e = 1 - sum b.(A + n I)^-1 b / sum |s|^2,  A_tu = <c_t, c_u>,  b_t = <c_t, s>
 
-    c_t is the capture, shifted by t in a window of 7 x 7 pixels. Sums are over the colours, whose means are subtracted;
-    each has a filter of its own. n is the noise of rounding to 8 bits. Blur costs only what noise hides; with a filter
-    of one pixel, a colour would have 1 - r^2, with r its correlation.
+    c_t is the capture, shifted cyclically by t in a window of 7 x 7 pixels. Sums are over the colours, whose means are
+    subtracted. Each colour of each capture has its own filter, fitted with the sharp image known: a bound for filters
+    of sRGB values of this size, which noise and wider blur limit. n is the number of pixels times the variance of
+    rounding to 8 bits, so that A is never singular.
     """
 
     def losses(self, captures: Tensor, images: Tensor, labels: Tensor) -> Tensor:

@@ -41,5 +41,5 @@ def _data(kind: str, content: bytes) -> str:
 
 
 def of_text(text: str, suffix: str = ".yaml") -> str:
-    """Return a text as a data URI; its suffix says whether it is YAML or SVG."""
+    """Return a text as a data URI: an image if its suffix is that of one, otherwise a download."""
     return _data(_TYPES.get(suffix, _DOWNLOAD), text.encode())

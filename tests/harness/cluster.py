@@ -3,7 +3,7 @@
     tests/cluster/slurm.sh up; python tests/harness/cluster.py; tests/cluster/slurm.sh down
 
 Exit status 1, and the folder is kept, if a result differs from that of `-j2` on this machine. Needs a cluster of one
-node, on which nothing else runs.
+node, on which SLURM runs nothing else.
 """
 
 import os
