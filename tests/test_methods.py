@@ -1,5 +1,7 @@
 """Settings may change how a design method works, but not which method it is."""
 
+from typing import get_args
+
 import pytest
 import torch
 from examples import small_network
@@ -9,11 +11,10 @@ from studies import changed, tiny_study
 import tasklens
 from tasklens.runtime.errors import InputError
 from tasklens.settings.design_methods import methods
+from tasklens.settings.design_settings import CriterionName
 from tasklens.settings.lens_settings import TRAINING, lens_settings, with_starts
 from tasklens.study.loading import load, parse
 from tasklens.study.study import StudyError
-
-CRITERIA = ("task", "spot", "image_error", "log_image_error", "correlation", "wiener_error", "contrast")
 
 
 def designed(method: str, settings: dict):
@@ -22,7 +23,7 @@ def designed(method: str, settings: dict):
 
 
 @pytest.mark.parametrize("method", [name for name in methods() if name != "least_squares"])
-@pytest.mark.parametrize("criterion", CRITERIA)
+@pytest.mark.parametrize("criterion", get_args(CriterionName))
 @pytest.mark.parametrize("rate", [None, 1e-3])
 @pytest.mark.parametrize("form", ["list", "number"])
 def test_a_method_keeps_its_criterion_and_its_use_of_the_network(method, criterion, rate, form):
