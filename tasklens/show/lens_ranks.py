@@ -25,12 +25,13 @@ def rank_lenses(correct: Mapping[str, pandas.DataFrame], at_nine: Mapping[str, p
 
     Args:
         correct: by lens, 1 where an image is classified correctly, else 0; a row per image, a column per field.
-        at_nine: the same at the paper's nine fields.
+        at_nine: the same at the paper's nine fields, of all lenses or none.
 
     Returns:
         A row per lens, in order: `lens`; the number of its `group`, from 1; `accuracy` [%]; `behind`, the accuracy of
-        the first lens minus this one [points]; both with their intervals, `_low` and `_high`; `accuracy_at_nine`,
-        `accuracy_axis` and `accuracy_corner`, at the nine fields, the first and the last of them [%].
+        the first lens minus this one [points]; both with their intervals, `_low` and `_high`; perhaps
+        `accuracy_at_nine`, `accuracy_axis` and `accuracy_corner`, at the nine fields, the first and the last of them
+        [%].
     """
     names = sorted(correct, key=lambda name: -correct[name].to_numpy().mean())
     for name in names[1:]:
@@ -42,22 +43,21 @@ def rank_lenses(correct: Mapping[str, pandas.DataFrame], at_nine: Mapping[str, p
     for k, name in enumerate(names):
         low, high = _interval(means[:, k], len(values))
         behind_low, behind_high = _interval(means[:, 0] - means[:, k], len(values)) if k else (0.0, 0.0)
-        by_field = predictions.accuracy_by_field(at_nine[name])
-        rows.append(
-            {
-                "lens": name,
-                "group": groups[k],
-                "accuracy": observed[k],
-                "accuracy_low": max(low, 0.0),
-                "accuracy_high": min(high, 100.0),
-                "behind": observed[0] - observed[k],
-                "behind_low": max(behind_low, -100.0),
-                "behind_high": min(behind_high, 100.0),
-                "accuracy_at_nine": numpy.mean(by_field),
-                "accuracy_axis": by_field[0],
-                "accuracy_corner": by_field[-1],
-            }
-        )
+        row = {
+            "lens": name,
+            "group": groups[k],
+            "accuracy": observed[k],
+            "accuracy_low": max(low, 0.0),
+            "accuracy_high": min(high, 100.0),
+            "behind": observed[0] - observed[k],
+            "behind_low": max(behind_low, -100.0),
+            "behind_high": min(behind_high, 100.0),
+        }
+        if at_nine:
+            axis, *others, corner = predictions.accuracy_by_field(at_nine[name])
+            row |= {"accuracy_at_nine": numpy.mean([axis, *others, corner])}
+            row |= {"accuracy_axis": axis, "accuracy_corner": corner}
+        rows.append(row)
     return pandas.DataFrame(rows)
 
 

@@ -28,6 +28,12 @@ def read(path: Path, fields: str = "field") -> pandas.DataFrame:
     return frame
 
 
+def has(path: Path, fields: str) -> bool:
+    """Return whether predictions were measured at a set of fields, which `read` then reads."""
+    with path.open(encoding="utf-8") as file:
+        return any(name.startswith(fields) for name in file.readline().split(","))
+
+
 def accuracy_by_field(correct: pandas.DataFrame) -> list[float]:
     """Compute the accuracy [%] at each field."""
     return (100 * correct.mean()).tolist()

@@ -79,8 +79,7 @@ class Measurements:
 
     def has(self, fields: str, keys: Iterable[MeasuredKey]) -> bool:
         """Return whether all of these were measured at a set of fields."""
-        headings = (self.predictions[key].open(encoding="utf-8").readline().split(",") for key in keys)
-        return all(any(name.startswith(fields) for name in names) for names in headings)
+        return all(predictions.has(self.predictions[key], fields) for key in keys)
 
     def frozen_losses(self, lens: str, classifier: str, seed: int) -> pandas.DataFrame:
         """Read the losses of the frozen classifier: a row per minival image, a column per field; raises FileError."""

@@ -45,7 +45,8 @@ def make(
     measured = dict(zip((SHARP, *settings.lenses), predicted, strict=True))
     correct = {lens: predictions.read(path) for lens, path in measured.items()}
     sharp = float(100 * correct.pop(SHARP).to_numpy().mean())
-    at_nine = {lens: predictions.read(measured[lens], "nine") for lens in settings.lenses}
+    in_nine = all(predictions.has(measured[lens], "nine") for lens in settings.lenses)
+    at_nine = {lens: predictions.read(measured[lens], "nine") for lens in settings.lenses if in_nine}
     table = lens_ranks.rank_lenses(correct, at_nine)
     files = dict(zip(settings.lenses, lenses, strict=True))
     contents = {lens: prescription.read(path) for lens, path in files.items()}
@@ -73,7 +74,7 @@ def make(
     note = _NOTE.format(study=settings.study, model=settings.model, tuned=tuned, images=count, fields=fields)
     answer = lens_ranks.sentences(by_title)
     answer += [text for text in [sieve(table, facts.mtf, settings.sieved)] if text is not None]
-    between, at_nine_by_title = ({titles[lens]: part[lens] for lens in titles} for part in (correct, at_nine))
+    between, at_nine_by_title = ({titles[lens]: part[lens] for lens in part} for part in (correct, at_nine))
     answer += between_fields.warnings(between, at_nine_by_title)
     left_out = [f"- {name}: {why}" for name, why in facts.left_out.items()]
     note += _ZERO_SHOT if "zero_shot_accuracy" in table else ""
