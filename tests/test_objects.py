@@ -167,6 +167,7 @@ def test_a_folder_of_coco_is_read(tmp_path):
     [
         (lambda c: c["annotations"][0].update(segmentation=[[50, 1, 60, 1, 60, 9]]), "1 of a.png: a polygon lies"),
         (lambda c: c["annotations"][0].update(segmentation=[[1, 1, 2, 2]]), "three points or more"),
+        (lambda c: c["annotations"][0].update(segmentation=["1, 1, 9, 1, 9, 9"]), "three points or more"),
         (lambda c: c["annotations"][0].update(segmentation=[]), "has no polygon"),
         (lambda c: c["annotations"][1]["segmentation"].update(size=[40, 32]), "of 32 rows and 40 columns"),
         (lambda c: c["annotations"][1]["segmentation"].update(counts="§"), "annotation 2 of a.png"),
@@ -175,6 +176,7 @@ def test_a_folder_of_coco_is_read(tmp_path):
         (lambda c: c["annotations"][0].pop("segmentation"), r"annotations\[0\] has no segmentation"),
         (lambda c: c["categories"].append({"id": 5, "name": "cow"}), "no object of cow"),
         (lambda c: c["images"][0].update(width=41), "has 40 x 32 pixels, not 41 x 32"),
+        (lambda c: c["images"][0].update(width="40"), r"images\[0\] has the width '40', of another type"),
         (lambda c: c["images"][0].update(file_name="z.png"), "z.png"),
         (lambda c: c.update(annotations=[]), "no image has an object"),
         (lambda c: c.pop("categories"), "no list `categories`"),

@@ -176,6 +176,9 @@ def test_labels_may_be_tensors(images):
         tasklens.design_lens("task", ["COC"], loss=lambda answer, target: 0.5, **options)
 
 
+TRAINED = nn.Parameter(torch.ones(()))
+
+
 @pytest.mark.parametrize(
     "network, loss, words",
     [
@@ -188,6 +191,8 @@ def test_labels_may_be_tensors(images):
             lambda answer, labels: answer.detach().sum(),
             "loss: has no gradient with respect to the images",
         ),
+        (nn.Flatten(), lambda answer, labels: TRAINED * answer.detach().sum(), "loss: has no gradient with respect"),
+        (nn.Flatten(), mse_loss, "loss: fails for the answers to 2 images: The size of tensor"),
         (nn.Flatten(), lambda answer, labels: answer.sum() / 0, "loss: expected a finite number"),
     ],
 )

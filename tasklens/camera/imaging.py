@@ -95,10 +95,10 @@ class PsfCamera:
             fields: indices of the fields; None: all.
 
         Raises:
-            InputError: images of another shape or type.
+            InputError: images of another shape or type, or a field that these PSFs do not have.
         """
         check_images(images)
-        fields = range(len(self.psf)) if fields is None else fields
+        fields = range(len(self.psf)) if fields is None else field_indices(fields, None, len(self.psf)).tolist()
         captures = []
         for block in images.split(_IMAGES) if images.device.type == "cpu" else (images,):
             pairs = torch.cat([block, block[: len(block) % 2]]).unflatten(0, (-1, 2))
@@ -109,7 +109,8 @@ class PsfCamera:
         if self.sensor is None:
             return self._develop(output)
         illumination = self.illumination[list(fields), None].expand(output.shape[:2])
-        sample = torch.randn(output.transpose(0, 1).shape, generator=generator).transpose(0, 1)
+        # A draw of several images together can end in other numbers: torch draws in blocks of 16.
+        sample = torch.stack([torch.randn(output[:, 0].shape, generator=generator) for _ in images], 1)
         return self._develop(output, illumination, sample)
 
     @torch.compiler.disable
@@ -134,8 +135,8 @@ class PsfCamera:
         numbers = fields.tolist()
         if self.sensor is None and sample is not None:
             raise InputError("sample: only for a camera with a `sensor`")
-        if self.sensor is not None and sample is None:
-            sample = torch.randn(images.shape)
+        if self.sensor is not None:
+            sample = torch.randn(images.shape) if sample is None else as_tensor(sample, "sample")
         if sample is not None and sample.shape != images.shape:
             raise InputError(
                 f"sample: expected the shape of the images, {tuple(images.shape)}, got {tuple(sample.shape)}"
@@ -181,22 +182,27 @@ def check_images(images: Tensor) -> None:
         raise InputError(f"images: expected (B, 3, H, W) in [0, 1], got {tuple(images.shape)} of {images.dtype}")
 
 
-def field_indices(fields: Sequence[int] | Tensor | None, images: int, count: int) -> Tensor:
+def field_indices(fields: Sequence[int] | Tensor | None, images: int | None, count: int) -> Tensor:
     """Return the index (B,) of the field of each of B images, int64; None: random, from torch's default generator.
+
+    Args:
+        images: B; None: any number from 1.
 
     Raises:
         InputError: not one index from 0 to `count` - 1 for each image.
     """
     if fields is None:
+        assert images is not None
         return torch.randint(count, (images,))
     indices = as_tensor(fields, "fields")
     if (
         indices.is_floating_point()
         or indices.dtype == torch.bool
-        or indices.shape != (images,)
+        or indices.shape != (len(indices) if images is None and indices.dim() else images,)
         or not ((indices >= 0) & (indices < count)).all()
     ):
-        raise InputError(f"fields: expected an index from 0 to {count - 1} for each of {images} images")
+        each = "" if images is None else f" for each of {images} images"
+        raise InputError(f"fields: expected an index from 0 to {count - 1}{each}")
     return indices.long()
 
 

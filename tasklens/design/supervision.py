@@ -44,7 +44,11 @@ class UserTask(Task):
 
     def losses(self, network: nn.Module, captures: Tensor, labels: Tensor) -> Tensor:
         """Compute the loss (N,) of each capture; all entries are the mean if the function returns only that."""
-        losses = self.function(network(captures), labels)
+        answer = network(captures)
+        try:
+            losses = self.function(answer, labels)
+        except Exception as error:  # of any kind
+            raise InputError(f"loss: fails for the answers to {len(captures)} images: {error}") from error
         if not isinstance(losses, Tensor):
             raise InputError(f"loss: expected a tensor, one number or one for each image, got {losses!r}")
         if losses.dim() and losses.shape != (len(captures),):
@@ -70,12 +74,15 @@ def supervision(plans: Sequence[LensDesign], settings: ImageSettings, folder: Pa
     guided = any(entry.by_network for entry in entries)
     if not any(entry.reads_images for entry in entries):
         return Supervision()
+    designs = [entry.design for entry in entries if isinstance(entry.design, GradientDesignSettings)]
+    parts = [part for design in designs for part in design.by_network]
     device, network = claim(), user.network
     if not isinstance(network, nn.Module | None):
         raise InputError(f"network: expected a torch.nn.Module or its settings, got {type(network).__name__}")
     if guided and network is None:  # checked before photographs are read
         classifier, classes = next(plan.classifier for plan in plans if plan.classifier), _classes(settings, user)
-        classifiers.check(_NAME, classifier, settings.size, len(classes))
+        for size in sorted({settings.size, *(part.size or settings.size for part in parts)}):
+            classifiers.check(_NAME, classifier, size, len(classes))
         torch.manual_seed(0)
         network = classifiers.build(classifier, classes)
     if user.images is not None:
@@ -99,8 +106,6 @@ def supervision(plans: Sequence[LensDesign], settings: ImageSettings, folder: Pa
             "network: no parameter requires a gradient, so there is nothing to train; call its requires_grad_(True)"
         )
     if user.network is not None or user.task is not None:
-        designs = [entry.design for entry in entries if isinstance(entry.design, GradientDesignSettings)]
-        parts = [part for design in designs for part in design.by_network]
         _check(network, images, user.task, parts, any(design.augment and design.by_network for design in designs))
     if user.task is None:
         sample = images.take(torch.randperm(len(images), generator=torch.Generator().manual_seed(0))[:_SHARP])
@@ -141,7 +146,8 @@ def _check(
     loss = task.loss(frozen_network, images, labels, torch.zeros(len(images), dtype=torch.bool))
     if not (loss.numel() == 1 and loss.is_floating_point() and bool(loss.isfinite())):
         raise InputError(f"loss: expected a finite number, or one for each image, got {loss}")
-    if not loss.requires_grad or not torch.autograd.grad(loss, images)[0].any():
+    gradient = torch.autograd.grad(loss, images, allow_unused=True)[0] if loss.requires_grad else None
+    if gradient is None or not gradient.any():
         raise InputError("loss: has no gradient with respect to the images; the network or the loss detaches them")
     if dataset.labels.dim() > 1 and augmented:
         raise InputError(

@@ -1,1 +1,1 @@
-"""Images and classifiers, independent of optics: PSFs are tensors."""
+"""Images, the networks that read them, and their training and measurement on captures."""

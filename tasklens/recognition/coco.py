@@ -103,11 +103,11 @@ def read(folder: Path, split: str, size: int, limit: int | None, seed: int) -> O
 
 
 def _content(path: Path) -> dict[str, list[dict[str, Any]]]:
-    """Read the annotations, and check that every entry has the required keys."""
-    required_keys = {
-        "images": ("id", "file_name", "width", "height"),
-        "categories": ("id", "name"),
-        "annotations": ("image_id", "category_id", "segmentation"),
+    """Read the annotations, and check that every entry has the required keys, with values of their types."""
+    required_keys: dict[str, dict[str, Any]] = {
+        "images": {"id": int | str, "file_name": str, "width": int, "height": int},
+        "categories": {"id": int, "name": str},
+        "annotations": {"image_id": int | str, "category_id": int, "segmentation": list | dict},
     }
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -123,6 +123,9 @@ def _content(path: Path) -> dict[str, list[dict[str, Any]]]:
             missing = [key for key in keys if not isinstance(entry, dict) or key not in entry]
             if missing:
                 raise FileError(f"{path}: {section}[{number}] has no {', '.join(missing)}")
+            wrong = [f"{key} {entry[key]!r}" for key, kind in keys.items() if not isinstance(entry[key], kind)]
+            if wrong:
+                raise FileError(f"{path}: {section}[{number}] has the {', '.join(wrong)}, of another type than COCO's")
     return content
 
 
@@ -133,8 +136,11 @@ def _mask(annotation: Mapping[str, Any], image: Mapping[str, Any], location: str
     height, width, shape = image["height"], image["width"], annotation["segmentation"]
     if isinstance(shape, list):
         for polygon in shape:
-            points = numpy.asarray(polygon, dtype=float)
-            if points.size < 6 or points.size % 2:
+            try:
+                points = numpy.asarray(polygon, dtype=float)
+            except (TypeError, ValueError):
+                points = numpy.empty(0)
+            if points.ndim != 1 or points.size < 6 or points.size % 2:
                 raise FileError(f"{location}: a polygon needs three points or more, two numbers each")
             x, y = points[::2], points[1::2]
             if (
@@ -147,9 +153,8 @@ def _mask(annotation: Mapping[str, Any], image: Mapping[str, Any], location: str
                 raise FileError(f"{location}: a polygon lies outside the image of {width} x {height} pixels")
         if not shape:
             raise FileError(f"{location}: has no polygon")
-    elif not isinstance(shape, dict) or list(shape.get("size", ())) != [height, width]:
-        size = shape.get("size") if isinstance(shape, dict) else shape
-        raise FileError(f"{location}: expected a mask of {height} rows and {width} columns, got {size!r}")
+    elif shape.get("size") != [height, width]:
+        raise FileError(f"{location}: expected a mask of {height} rows and {width} columns, got {shape.get('size')!r}")
     try:
         with redirect_stdout(StringIO()):
             if isinstance(shape, list):

@@ -30,14 +30,15 @@ class ProductionJob(Frozen):
     @classmethod
     def of(cls, study: Study, lens: str, seed: int) -> "ProductionJob":
         """Return the settings of the job; raises StudyError if captures have diffraction."""
-        check_rays_alone(study)
+        capture = study.capture_of(lens)
+        check_rays_alone(capture)
         return cls(
             lens=lens,
             seed=seed,
             spec=study.lens_spec(lens),
             centres=study.fields.grading_points,
             grading=study.fields.graded_points,
-            capture=study.capture_of(lens),
+            capture=capture,
             classifier=study.classifier(study.supervisor),
             tolerances=study.tolerances.model_copy(update={"designs": None}),
         )
@@ -62,9 +63,9 @@ class BuiltContents(SeededLenses):
     images: int
 
 
-def check_rays_alone(study: Study) -> None:
+def check_rays_alone(capture: CaptureSettings) -> None:
     """Raise StudyError if captures have diffraction, which built lenses do not have."""
-    if study.capture.diffraction:
+    if capture.diffraction:
         raise StudyError(
             "tolerances: built lenses have no diffraction, but the classifiers of this study are trained on captures "
             "with diffraction; expected `capture: {diffraction: false}`"
@@ -77,7 +78,7 @@ def built_contents(study: Study) -> BuiltContents:
     Raises:
         StudyError: captures have diffraction.
     """
-    check_rays_alone(study)
+    check_rays_alone(study.capture)
     lenses = [study.lens(name) for name in chosen_lenses(study, study.tolerances.designs)]
     pairs = (
         (lens.name, other.name)

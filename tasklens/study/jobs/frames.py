@@ -204,9 +204,9 @@ def draw(
 
 
 def _corner(frame: Tensor, row: float, column: float) -> tuple[int, int]:
-    """Return the first row and column of a patch centred at a place."""
+    """Return the first row and column of a patch centred at a place, or as near as a small frame has it."""
     height, width = frame.shape[1:]
-    return round(row * height) - _ZOOM[0] // 2, round(column * width) - _ZOOM[1] // 2
+    return max(0, round(row * height) - _ZOOM[0] // 2), max(0, round(column * width) - _ZOOM[1] // 2)
 
 
 def _show(axes: Axes, image: Tensor, title: str) -> None:
