@@ -146,7 +146,8 @@ def example(seed: int) -> tuple:
         return low + (high - low) * torch.rand(*shape, generator=generator, dtype=torch.float64)
 
     lens = random_lens(seed)
-    lens = replace(lens, semi_diameter=f64([0.3, *[torch.inf] * 4]))
+    media = (*lens.media[: 5 - 2 * seed], *lens.media[:1] * 2 * seed)  # the second ends in two surfaces in air
+    lens = replace(lens, semi_diameter=f64([0.3, *[torch.inf] * 4]), media=media)
     fields = len(VIEW.fields)
     ranges = [(-1, 1), (1, 2), (-0.2, 0.2), (-0.5, -0.3), (0.7, 0.9)]
     return lens, uniform(0.2, 0.8, 5), torch.stack([uniform(*limits, fields) for limits in ranges])

@@ -130,7 +130,21 @@ MISTAKES = [
     (TASK, "--network test_resnet: give one of --weights FILE, --pretrained"),
     ((*TASK, "--weights", "absent.pth"), "--weights absent.pth: no such file"),
     ((*MINE, "--images", "absent"), "absent: no such folder of images"),
+    ((*MINE, "--images", "photographs", "--set", "start=[correlation]"), "start: correlation is a lens of the verdict"),
     ((*MINE, "--images", "photographs", *SMALL), "words.pth: no weights for test_resnet with 3 outputs"),
+    (
+        (
+            *MINE,
+            "--network",
+            "vit_tiny_patch16_224",
+            "--argument",
+            "img_size=32",
+            "--set",
+            "descents.0.size=24",
+            *SMALL,
+        ),
+        "Input height (24) doesn't match model (32)",
+    ),
     ((*MINE, "--network", "resnt"), "--network resnt: Unknown model (resnt); did you mean resnet"),
     (
         (*MINE, "--method", "joint", "--save-network", "a.safetensors", "--set", "start=[contrast,spot]"),

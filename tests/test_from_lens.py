@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from examples import cooke_file, cooke_triplet, f64
+from examples import assert_close, cooke_file, cooke_triplet, f64, make_lens
 
 import tasklens
 from tasklens.cli.app import main
@@ -71,6 +71,8 @@ def test_coefficients_of_high_order_that_stay_are_named(triplet):
     lens.alpha[1, 5], lens.alpha[2, 6] = 1e-20, -1e-22
     *_, remarks = improve(replace(triplet, lens=lens), "spot", {"alpha_4": [1]}, ONE_STEP)
     assert "asphere coefficients of r^12 are fixed" in remarks
+    with pytest.raises(InputError, match="alpha_4: surface 99 does not refract"):
+        improve(replace(triplet, lens=lens), "spot", {"alpha_4": [99]}, ONE_STEP)
 
 
 def test_clear_apertures_of_a_lens_stay(tmp_path):
@@ -155,6 +157,20 @@ def test_a_stop_between_elements_bounds_no_space():
     limits = Constraints(min_air_gap=0.05)
     gap = manufacturing_margins(lens, limits, f64([6.0] * 9))["min_air_gap"].reshape(3, -1)[1] + 0.05
     assert float(gap[0]) == pytest.approx(0.5 + 4.25041, rel=1e-12)
+
+
+def test_a_plane_in_air_behind_the_lens_bounds_nothing():
+    """The back focus is that of the last surface that refracts, wherever a plane for the defocus lies."""
+    lens = make_lens([0.1, -0.1], [1.0, 3.0], ("COC", "air"), semi_diameter=[1.0, 1.0])
+    planes = make_lens([0.1, -0.1, 0.0], [1.0, 3.5, -0.5], ("COC", "air", "air"), semi_diameter=[1.0] * 3)
+    actual, expected = (manufacturing_margins(each, Constraints(), each.semi_diameter) for each in (planes, lens))
+    assert_close(actual["min_back_focus"], expected["min_back_focus"], 1e-15)
+
+
+def test_a_sensor_keeps_its_shape(triplet):
+    fields = 0.6 * triplet.view.fields * f64([1.0, 4 / 3])  # from 16:9
+    _, view, _, _ = improve(replace(triplet, view=replace(triplet.view, fields=fields)), "spot", settings=ONE_STEP)
+    assert float(view.fields[:, 0].max() / view.fields[:, 1].max()) == pytest.approx(4 / 3)
 
 
 def test_the_linear_model_of_a_lens_with_its_stop_inside(triplet):

@@ -7,7 +7,7 @@ import numpy
 import pytest
 import torch
 from designs import LIMITS, NO_LIMITS, SPEC, VIEW
-from examples import difference, materials
+from examples import difference, make_lens, materials
 
 from tasklens.design import least_squares
 from tasklens.design.merit import FIELD_HEIGHTS, VIOLATION_UM_PER_MM, Merit
@@ -69,6 +69,14 @@ def test_merit_columns_are_the_limit_of_differences(start, reference):
     assert (expected[:errors].abs().amax(0) > 1).all() and (expected[-first_order:].abs().amax(1) > 1).sum() > 9
     assert (expected[errors:-first_order].abs().amax(1) > 1).sum() > 60
     torch.testing.assert_close(columns, expected, rtol=1e-6, atol=1e-6 * float(expected.abs().max()))
+
+
+def test_rays_follow_a_stop_that_is_a_surface_of_a_lens():
+    """They begin on it, wherever its curvature puts it."""
+    lens = make_lens([0.5, -0.15], [1.0, 3.0], ("COC", "air"), semi_diameter=[0.5, torch.inf])
+    merit, changed = Merit(VIEW, LIMITS), replace(lens, curvature=1.3 * lens.curvature)
+    merit.residuals(lens)
+    assert torch.equal(merit.residuals(changed), Merit(VIEW, LIMITS).residuals(changed))
 
 
 def test_merit_is_the_mean_square_spot(start):

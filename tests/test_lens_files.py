@@ -158,10 +158,12 @@ def test_a_lens_for_a_near_object_is_refocused_for_a_far_one(tmp_path, name):
     assert float(near.thickness[-1] - far.thickness[-1]) == pytest.approx(10, abs=1)
 
 
-def test_wavelengths_in_the_order_of_the_source_are_no_contradiction(tmp_path):
-    """A lens that was improved from a Zemax file keeps the order of the file, here from blue to red."""
+@pytest.mark.parametrize("between", [(), (0.52, 0.61)])
+def test_wavelengths_of_the_source_are_no_contradiction(tmp_path, between):
+    """A lens that was improved from a Zemax file keeps the order of the file, from blue to red, and all of them."""
     source = lens_files.read(HEADLINE / "doublet-imaging2.yaml")
-    turned = replace(source.prescription, wavelengths_um=source.view.wavelengths_um[::-1], primary=1)
+    red, green, blue = source.view.wavelengths_um
+    turned = replace(source.prescription, wavelengths_um=(blue, green, *between, red), primary=1)
     lens_files.write(tmp_path / "lens.yaml", turned, source.content)
     file = lens_files.read(tmp_path / "lens.yaml")
     assert file.prescription.wavelengths_um == turned.wavelengths_um

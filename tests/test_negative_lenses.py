@@ -85,8 +85,9 @@ def test_what_needs_a_positive_focal_length_says_so(name):
 
 def test_commands_that_need_a_positive_focal_length_say_so(tmp_path, capsys):
     """In the last line, before anything is written."""
-    path, folder = tmp_path / "negative.zmx", tmp_path / "photographs"
+    path, relay, folder = tmp_path / "negative.zmx", tmp_path / "relay.yaml", tmp_path / "photographs"
     tasklens.save_lens(path, *typed("negative"))
+    tasklens.save_lens(relay, *typed("relay"))
     folder.mkdir()
     Image.new("RGB", (64, 64)).save(folder / "0.png")
     for words in (
@@ -94,6 +95,7 @@ def test_commands_that_need_a_positive_focal_length_say_so(tmp_path, capsys):
         ("lens", "captures", str(path), str(folder), "-o", str(tmp_path / "captures"), "--size", "64"),
         ("lens", "tolerance", str(path)),
         ("lens", "show", str(path), "--focus", "best"),
+        ("lens", "show", str(relay), "--object-distance", "500"),
         ("design", "--start", str(path), "-o", str(tmp_path / "better.yaml")),
     ):
         assert main(list(words)) == 2

@@ -9,7 +9,7 @@ from examples import make_lens, random_lens
 from prescriptions import random_prescription, same_bits
 
 from tasklens.materials.material import AIR, Material
-from tasklens.optics.io import prescription
+from tasklens.optics.io import lens_files, prescription
 from tasklens.optics.io.prescription import Prescription
 from tasklens.runtime.files import FileError
 from tasklens.study.report.measurements import Measurements
@@ -97,4 +97,6 @@ def test_figures_are_of_the_prescription_beside_them(tmp_path):
     path.write_text(yaml.safe_dump(content))
     with pytest.raises(FileError, match=r"lens\.yaml: its prescription was changed after its figures"):
         measured.lens_file("a", 0)
-    assert float(prescription.read(path)[0].lens.thickness[1]) == content["surfaces"][1]["thickness"]
+    source, rest = lens_files.read_prescription(path)
+    assert float(source.lens.thickness[1]) == content["surfaces"][1]["thickness"] and "figures" not in rest
+    assert source.remarks == ("the lens was changed after its figures and margins were computed, so they are left out",)

@@ -15,12 +15,12 @@ from tasklens.camera.imaging import PsfCamera, psnr
 from tasklens.design.constraints import manufacturing_margins
 from tasklens.design.criteria import JointTaskLoss
 from tasklens.design.descent import Descent
-from tasklens.design.image_quality import ImageError
+from tasklens.design.image_quality import ImageError, SpotRadius
 from tasklens.design.objective import SELECTION_IMAGES, VALIDATION_IMAGES, Objective
 from tasklens.design.ray_space import repair
 from tasklens.design.start import flat
 from tasklens.optics.analysis.pupil import sobol_disc
-from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields
+from tasklens.optics.analysis.spots import centroid, clear_semi_diameters, evaluation_psf, rms_spot_radius, trace_fields
 from tasklens.optics.psf import psf
 from tasklens.settings.capture_settings import CaptureSettings, SensorSettings
 from tasklens.settings.design_settings import DescentSettings, GradientDesignSettings
@@ -197,11 +197,23 @@ def test_lenses_are_chosen_by_images_that_lead_no_descent(start, monkeypatch):
 
 
 def test_the_noise_of_fixed_images_is_the_same_in_any_micro_batches(start):
-    """Successive images have different noise."""
+    """Successive images have different noise, also images of an odd size, which torch draws in blocks."""
     posed = replace(problem(), capture=CaptureSettings(sensor=SensorSettings(gain=16)))
-    objectives = [Objective(ImageError(False), posed, None, False, at_once) for at_once in (9, 45)]
+    objectives = [Objective(ImageError(False), posed, 15, False, at_once) for at_once in (9, 45)]
     losses = [objective.validation_loss(start, 1.0) for objective in objectives]
     assert losses[0] == pytest.approx(losses[1], rel=1e-6)
+
+
+def test_vignetted_light_is_neither_blur_nor_haze(start):
+    """Of a lens that vignettes, designs see the PSFs and spots that are measured: those of the light that passes."""
+    view, pupil = problem().view, sobol_disc(256, seed=0)
+    radii = 0.9 * clear_semi_diameters(start, view)
+    rim = torch.arange(len(radii)) == len(radii) - 1
+    lens = replace(start, semi_diameter=torch.where(rim, radii, start.semi_diameter))
+    rays, grid = Objective(ImageError(True), problem(), None, False, 12, "chief_ray").trace(lens, view, pupil, 1.0)
+    assert 0 < rays.vignetted.double().mean() < 0.5
+    torch.testing.assert_close(grid, evaluation_psf(lens, view, len(pupil)))
+    torch.testing.assert_close(SpotRadius().of_fields(rays, None, view), rms_spot_radius(rays, centroid(rays)))
 
 
 def test_distortion_costs_nothing_about_the_chief_ray(start):

@@ -61,7 +61,10 @@ def test_a_floating_aperture_is_the_size_of_the_stop(tmp_path):
 
 
 @pytest.mark.parametrize("aperture", ["ENPD 1.2", "FLOA"])
-@pytest.mark.parametrize("line", ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1\n  CLAP 0 0.4 0"])
+@pytest.mark.parametrize(
+    "line",
+    ["DIAM 0.55 0 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1\n  CLAP 0 0.4 0", "DIAM 0.4 1 0 0 1\n  FLAP 0 0.4 0"],
+)
 def test_a_stop_that_vignettes_at_less_than_the_aperture_asks_for(tmp_path, aperture, line):
     """As in Edmund Optics' 47728: a pupil of 15 mm, and 13.5 mm clear at the stop."""
     imported = read_lens(tmp_path, edit(('DIAM 0.55 0 0 0 1 ""', line), ("ENPD 1.2", aperture)))

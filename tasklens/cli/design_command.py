@@ -62,8 +62,8 @@ class StartOptions:
         Path | None,
         typer.Option(
             help="Lens to improve, .zmx or .yaml; its glasses stay. flat: plane-parallel plates, as in the paper, with "
-            "the schedule of the studies (task, log_image_error, correlation): as accurate as from imaging lenses, the "
-            "default (97.5 and 97.6 % on textures, one seed), in up to five times as many steps."
+            "the schedule of the studies (task, log_image_error, correlation): not more accurate than from imaging "
+            "lenses, the default, in up to five times as many steps."
         ),
     ] = None
     free: Annotated[

@@ -42,21 +42,22 @@ def manufacturing_margins(lens: Lens, limits: Constraints, semi_diameter: Tensor
     front, behind, element = spaces(lens)
     shared = torch.maximum(semi[front], semi[behind])[:, None] * HEIGHTS
 
-    def surface_sag(surfaces: Tensor | slice, heights: Tensor) -> Tensor:
+    def surface_sag(surfaces: Tensor | list[int], heights: Tensor) -> Tensor:
         squares = torch.minimum(heights, semi[surfaces, None]) ** 2
         return sag(squares, lens.curvature[surfaces, None], lens.conic[surfaces, None], lens.alpha[surfaces, None])[0]
 
     distance = lens.vertices[behind] - lens.vertices[front]
     gap = distance[:, None] + surface_sag(behind, shared) - surface_sag(front, shared)
     centre, edge = distance[element], gap[element]
-    last_sag = surface_sag(slice(-1, None), semi[-1:, None] * HEIGHTS)
+    last = lens.refracting_surfaces[-1]  # planes in air may follow
+    last_sag = surface_sag([last], semi[[last], None] * HEIGHTS)
     slope = radial_slope(semi[:, None] * HEIGHTS, lens.curvature[:, None], lens.conic[:, None], lens.alpha[:, None])
     return {
         "min_centre_thickness": centre - limits.min_centre_thickness,
         "max_centre_thickness": limits.max_centre_thickness - centre,
         "min_edge_thickness": (edge - limits.min_edge_thickness).flatten(),
         "min_air_gap": (gap[~element] - limits.min_air_gap).flatten(),
-        "min_back_focus": (lens.thickness[-1] - last_sag - limits.min_back_focus).flatten(),
+        "min_back_focus": (lens.thickness[last:].sum() - last_sag - limits.min_back_focus).flatten(),
         "max_track": limits.max_track - lens.thickness.sum()[None],
         "max_slope": (limits.max_slope - slope.abs()).flatten(),
     }

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from tasklens.settings.specification import Constraints, Spec
 
 _F_NUMBER = 1e-2  # relative change of the F-number that is mentioned
 _WIDEST = 150  # degrees, as in `Spec`
+_SIDES = 100  # largest number of the ratio of width and height, as 16:9
 _TOUCHING = 1e-6  # mm; surfaces in contact do not cross
 _LENGTHS = (  # limits that are lengths
     *("min_centre_thickness", "max_centre_thickness", "min_edge_thickness"),
@@ -88,7 +90,7 @@ def finished(result: Designs, file: LensFile, view: View, changed: set[str], rem
         remark(f"F-number {before:.4g} to {after:.4g}: the stop is fixed, the focal length within its limits is not")
     if changed & {"field_of_view_deg", "object_distance_mm"}:
         source = replace(source, fields=None)
-    if "wavelengths_um" in changed:
+    if "wavelengths_um" in changed or len(source.wavelengths_um or ()) == 3:  # then green is the primary one
         source = replace(source, wavelengths_um=None, primary=None)
     data = with_system_data(replace(source, lens=lens, object_distance_mm=math.inf), view)
     if data.aperture is not None and data.wavelengths_um is not None:
@@ -133,10 +135,9 @@ def _constraints(method: str, settings: Mapping[str, Any], constraints: Mapping[
 
 def _fixed_coefficients(lens: Lens, free: Mapping[str, Sequence[int]]) -> str:
     """Say which asphere coefficients of higher order than those of designs stay on surfaces whose others vary."""
-    aspheres = {surface for name, surfaces in free.items() if name.startswith("alpha") for surface in surfaces}
-    orders = [
-        2 * k for k in range(ORDERS[-1] // 2 + 1, lens.alpha.shape[1] + 1) if lens.alpha[[*aspheres], k - 1].any()
-    ]
+    free_aspheres = {surface for name, surfaces in free.items() if name.startswith("alpha") for surface in surfaces}
+    aspheres = [i for i in lens.refracting_surfaces if i in free_aspheres]
+    orders = [2 * k for k in range(ORDERS[-1] // 2 + 1, lens.alpha.shape[1] + 1) if lens.alpha[aspheres, k - 1].any()]
     return f"asphere coefficients of r^{', r^'.join(map(str, orders))} are fixed" if orders else ""
 
 
@@ -199,6 +200,9 @@ def _spec(file: LensFile) -> tuple[Spec, View]:
         "kernel_size": file.view.kernel_size,
         "wavelengths_um": file.view.in_colours().wavelengths_um,
     }
+    width, height = file.view.fields.abs().amax(0).tolist()
+    if width and height:
+        values["aspect"] = Fraction(width / height).limit_denominator(_SIDES).as_integer_ratio()
     if not tangent:
         raise InputError(
             "the lens has no field except the axis: give its full field of view in degrees, --field-of-view"

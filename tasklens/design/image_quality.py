@@ -9,7 +9,7 @@ from torch import Tensor
 from tasklens.design.criteria import CaptureCriterion, FieldCriterion
 from tasklens.design.objective import Criterion
 from tasklens.optics.analysis.spots import centroid
-from tasklens.optics.rays import Rays
+from tasklens.optics.rays import Rays, passing
 from tasklens.optics.view import View
 
 _FREQUENCIES = (0.125, 0.25)  # a quarter and a half of the Nyquist frequency, for the contrast [cycles per pixel]
@@ -73,7 +73,10 @@ class WienerError(CaptureCriterion):
 
 
 class SpotRadius(FieldCriterion):
-    """RMS spot radius sqrt(mean(r^2)) about the polychromatic centroid [mm]; a lost ray counts as 1 mm away."""
+    """RMS spot radius sqrt(mean(r^2)) about the polychromatic centroid [mm] of all rays that are not vignetted.
+
+    A lost ray counts as 1 mm away, and a field that is vignetted completely has 1 mm.
+    """
 
     scales_with_stop = True
     by_psf = False
@@ -82,7 +85,9 @@ class SpotRadius(FieldCriterion):
         """Compute the radius (F,) of each field."""
         middle = centroid(rays)
         squared = (rays.x - middle[:, 0, None, None]) ** 2 + (rays.y - middle[:, 1, None, None]) ** 2
-        return torch.where(rays.valid, squared, 1.0).mean((1, 2)).sqrt()
+        counted = ~rays.vignetted
+        mean = (torch.where(rays.valid, squared, 1.0) * counted).sum((1, 2)) / passing(rays)
+        return torch.where(counted.flatten(1).any(1), mean, 1.0).sqrt()
 
 
 class Contrast(FieldCriterion):

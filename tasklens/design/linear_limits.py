@@ -63,10 +63,11 @@ class LinearLimits:
         d_shared = numpy.where(of_front, d_semi[:, front], d_semi[:, behind])[..., None] * _HEIGHTS
         rim, d_rim = semi[:, None] * _HEIGHTS, d_semi[..., None] * _HEIGHTS
         everywhere = numpy.arange(len(semi))
-        # Surfaces in front of and behind each space, and the last one; flat beyond the illuminated radius.
-        surfaces = numpy.concatenate([front, behind, everywhere[-1:]])
-        heights = numpy.concatenate([shared, shared, rim[-1:]])
-        d_heights = numpy.concatenate([d_shared, d_shared, d_rim[:, -1:]], 1)
+        # Surfaces in front of and behind each space, and the last that refracts; flat beyond the illuminated radius.
+        last = self.lens.refracting_surfaces[-1]
+        surfaces = numpy.concatenate([front, behind, [last]])
+        heights = numpy.concatenate([shared, shared, rim[[last]]])
+        d_heights = numpy.concatenate([d_shared, d_shared, d_rim[:, [last]]], 1)
         d_heights = numpy.where(heights > semi[surfaces, None], d_semi[:, surfaces, None], d_heights)
         heights = numpy.minimum(heights, semi[surfaces, None])
         d_sag = self._shape(surfaces, heights).sag_change(d_heights, d_lens)
@@ -87,7 +88,7 @@ class LinearLimits:
             centre,
             -gap[:, element],
             -gap[:, ~element],
-            last_sag - dt[:, -1:, None],
+            last_sag - dt[:, last:].sum(1)[:, None, None],
             dt.sum(1),
             numpy.sign(slope.slope) * slope.slope_change(d_rim, d_lens),
             d_power * numpy.sign(power - 1),

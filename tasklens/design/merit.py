@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tasklens.design.linear_limits import LinearLimits
 from tasklens.optics.analysis.aiming import stop_is_inside
+from tasklens.optics.analysis.continuation import stop_is_curved
 from tasklens.optics.analysis.pupil import gauss_quadrature, launch_fields
 from tasklens.optics.analysis.spots import OUTLINE, clear_semi_diameters
 from tasklens.optics.lens import Lens
@@ -28,7 +29,7 @@ VIOLATION_UM_PER_MM = 1000.0  # residual per mm of violation: 1 um of violation 
 class Merit:
     """Residuals of a lens [um]: two per ray, whose sum of squares is the mean squared spot radius, then limits.
 
-    Rays are launched to fill a stop in front of the lens. If the stop is inside, they are aimed again at every lens.
+    Rays are launched to fill a plane stop in front of the lens. Otherwise they are launched again for every lens.
     The derivatives neglect the change of the aim; each step is checked at its new lens. Limits of chief rays hold at
     all radii of the sensor: between the fields of the spots distortion exceeded its limit.
 
@@ -118,8 +119,8 @@ class Merit:
         return torch.nan_to_num(values, 1e6, 1e6, -1e6), columns
 
     def _launch(self, lens: Lens) -> Rays:
-        """Launch the rays; all lenses with the same stop in front share them."""
-        if stop_is_inside(lens):
+        """Launch the rays; all lenses with the same plane stop in front share them."""
+        if stop_is_inside(lens) or stop_is_curved(lens):
             return self._bundles(lens.detached())
         radius = float(lens.semi_diameter[lens.stop])
         if self.launched is None or self.launched[0] != radius:

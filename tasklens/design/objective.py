@@ -16,7 +16,7 @@ from tasklens.optics.analysis.illumination import relative_illumination
 from tasklens.optics.analysis.spots import clear_semi_diameters, trace_fields, trace_with_chief
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.rays import Rays
+from tasklens.optics.rays import Rays, transmission
 from tasklens.optics.tolerancing.manufacturing_errors import draw, errors
 from tasklens.optics.tolerancing.monte_carlo import MonteCarlo
 from tasklens.optics.view import View
@@ -166,12 +166,13 @@ class Objective:
         return [lenses.build(fractions)[0] for fractions in draw(lenses.errors, count, seed)]
 
     def trace(self, lens: Lens, view: View, pupil: Tensor, pixels: float) -> tuple[Rays, Tensor]:
-        """Trace rays, and compute PSFs (F, 3, K, K) at a pixel pitch of `pixels` sensor pixels."""
+        """Trace rays, and compute PSFs (F, 3, K, K) of unvignetted light; a pixel has `pixels` sensor pixels."""
         if self.centre == "pinhole":
             rays, centre = trace_fields(lens, view, pupil), view.fields
         else:
             rays, centre = trace_with_chief(lens, view, pupil)
-        return rays, psf(rays, centre, view.pixel_pitch_um * pixels, view.kernel_size)
+        grid = psf(rays, centre, view.pixel_pitch_um * pixels, view.kernel_size)
+        return rays, grid / transmission(rays)[..., None, None]
 
     def illumination(self, lens: Lens, view: View) -> Tensor | None:
         """Compute the relative illumination (F,) for a sensor, without gradient; None without a sensor."""

@@ -67,6 +67,11 @@ def passing(rays: Rays) -> Tensor:
     return (~rays.vignetted).sum((1, 2)).clamp(min=1)
 
 
+def transmission(rays: Rays) -> Tensor:
+    """Compute the fraction of unvignetted rays of each field and wavelength, (F, W), at least one ray."""
+    return (~rays.vignetted).to(rays.x.dtype).mean(-1).clamp(min=1 / rays.x.shape[-1])
+
+
 def launch(x: Tensor, y: Tensor, z: Tensor, l: Tensor, m: Tensor, n: Tensor) -> Rays:
     """Launch rays at (x, y, z) [mm from the first vertex] along (l, m, n); the arguments broadcast."""
     x, y, z, l, m, n = torch.broadcast_tensors(x, y, z, l, m, n)

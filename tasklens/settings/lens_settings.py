@@ -126,6 +126,10 @@ def lens_settings(
     _check_method(method, result.designs[method])
     if baselines:
         others = {name: design for name, design in designs.items() if name != method}
+        if both := others.keys() & {*baselines}:
+            raise InputError(
+                f"start: {min(both)} is a lens of the verdict, too; choose another start, or no verdict (--no-verdict)"
+            )
         others |= {criterion: _with_criterion(criterion, designs[method]) for criterion in baselines}
         result = validate(LensSettings, content | {"designs": others | {method: designs[method]}})
     descents = [part for design in result.designs.values() for part in design.descents]
@@ -171,7 +175,7 @@ def with_starts(
     design = merged_settings(base, settings)
     first = [_FIRST] if design.get("start") in ("best_imaging", "best_spot") else design.get("start", [])
     designs: dict[str, Mapping[str, Any]] = {}
-    for name in first if isinstance(first, list) else []:
+    for name in first if isinstance(first, list | tuple) else []:
         if name not in methods() or name == method:
             raise InputError(f"start: {name!r} is not one of the other methods {', '.join(methods())}")
         designs = with_starts(name, {}, images) | designs

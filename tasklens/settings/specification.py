@@ -76,7 +76,7 @@ class Constraints(Frozen):
     min_edge_thickness: Length = Field(0.2, description="Least thickness of an element within its aperture [mm].")
     min_air_gap: Length = Field(0.05, description="Least air space between elements within their apertures [mm].")
     min_back_focus: Length = Field(0.7, description="Least distance from the last surface to the sensor [mm].")
-    max_track: Length = Field(4.4, description="Largest distance from the stop to the sensor [mm].")
+    max_track: Length = Field(4.4, description="Largest distance from the first surface to the sensor [mm].")
     max_slope: float = Field(0.57, gt=0, le=100, description="Largest slope d sag / d r of a surface.")
     stop_distance: Length = Field(0.1, description="Distance from the stop to the first surface [mm].")
     flat_track: float = Field(

@@ -74,9 +74,9 @@ def peak(lens: Lens, view: View) -> Tensor:
 
     It is the vertex of a parabola fitted to the planes around the best one, and differentiable in the lens.
     """
-    first_order = paraxial(lens.detached(), view.reference_um)
-    f_number = float(first_order.f_number)
-    f_stop = 2 ** (round(2 * math.log2(f_number)) / 2)  # to full stops, so that planes do not move with the lens
+    pupil = float(paraxial(lens.detached(), view.reference_um).entrance_pupil_radius)
+    # To full stops, so that planes do not move with the lens; of the view, since plates have no focal length.
+    f_stop = 2 ** (round(2 * math.log2(view.efl / (2 * pupil))) / 2)
     step = _STEP * f_stop / frequency(view)
     steps = max(_STEPS, math.ceil(_RANGE * view.efl / step))
     for _ in range(_DOUBLINGS + 1):

@@ -14,7 +14,7 @@ from tasklens.optics.analysis.diffraction import diffraction_psf
 from tasklens.optics.analysis.pupil import launch_fields, rim, sobol_disc
 from tasklens.optics.lens import Lens
 from tasklens.optics.psf import psf
-from tasklens.optics.rays import Rays, describe_loss, passing
+from tasklens.optics.rays import Rays, describe_loss, passing, transmission
 from tasklens.optics.tracing.trace import trace, trace_full
 from tasklens.optics.view import View
 
@@ -189,14 +189,13 @@ def evaluation_psf(lens: Lens, view: View, rays: int, diffraction: bool = False)
     They are normalised to the rays that are not vignetted: vignetted light does not count as outside the window.
     """
     traced = trace_fields(lens, view, sobol_disc(rays, seed=0))
-    transmission = (~traced.vignetted).to(lens.dtype).mean(-1).clamp(min=1 / rays)
     centre = chief_points(lens, view)
     grid = (
         diffraction_psf(lens, view, centre)
         if diffraction
         else psf(traced, centre, view.pixel_pitch_um, view.kernel_size)
     )
-    return grid / transmission[..., None, None]
+    return grid / transmission(traced)[..., None, None]
 
 
 def smallest_aperture(heights: Tensor, weight: Tensor, axial: Tensor, loss: float) -> Tensor:

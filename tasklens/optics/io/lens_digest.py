@@ -17,7 +17,12 @@ def digest(content: Mapping[str, Any]) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
+def is_changed(content: Mapping[str, Any]) -> bool:
+    """Return whether the prescription was changed after its figures were computed."""
+    return KEY in content and content[KEY] != digest(content)
+
+
 def check(content: Mapping[str, Any], path: Path) -> None:
     """Raise FileError if the prescription was changed after its figures were computed."""
-    if KEY in content and content[KEY] != digest(content):
+    if is_changed(content):
         raise damage_error(path, "its prescription was changed after its figures were computed")

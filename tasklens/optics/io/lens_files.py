@@ -1,12 +1,13 @@
 """Lens files, our YAML and Zemax's .zmx, with the specification that figures need."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Unpack
 
-from tasklens.optics.io import prescription, zemax
-from tasklens.optics.io.lens_specs import COMPUTED, LensFile, Requested, with_specification
+from tasklens.optics.io import lens_digest, prescription, zemax
+from tasklens.optics.io.lens_specs import COMPUTED, LensFile, Requested, with_specification, without_figures
 from tasklens.optics.io.prescription import Prescription
 from tasklens.optics.io.stop import check_radius
 from tasklens.runtime.files import FileError
@@ -59,6 +60,9 @@ def read_prescription(
         source, content = prescription.read(path)
         _check_keys(content, path)
         check_radius(source, path)
+        if lens_digest.is_changed(content):
+            changed = "the lens was changed after its figures and margins were computed, so they are left out"
+            return replace(source, remarks=(*source.remarks, changed)), without_figures(content)
         return source, content
     raise FileError(f"{path}: expected a lens file, .yaml or .zmx")
 

@@ -15,7 +15,7 @@ from tasklens.optics.analysis.pupil import check_stop
 from tasklens.optics.analysis.spots import light_remarks
 from tasklens.optics.io.prescribed_fields import field_tangents
 from tasklens.optics.io.prescription import Prescription
-from tasklens.optics.io.spec_section import check_copies, view_of
+from tasklens.optics.io.spec_section import check_copies, view_of, with_reference
 from tasklens.optics.io.stop import check_speed, stop_radius
 from tasklens.optics.lens import Lens
 from tasklens.optics.view import View, view_of_spec
@@ -192,7 +192,7 @@ def _derived_view(
     """
     remarks = []
     if not wavelengths and source.wavelengths_um:
-        wavelengths = _with_reference(source.wavelengths_um, source.primary or 0)
+        wavelengths = with_reference(source.wavelengths_um, source.primary or 0)
     elif not wavelengths:
         wavelengths = Spec.model_fields["wavelengths_um"].default
         remarks.append(f"no wavelengths in the file: using {', '.join(map(str, wavelengths))} um (--wavelengths)")
@@ -216,13 +216,6 @@ def _derived_view(
         pixels = f"{view.pixel_pitch_um} um, and PSF windows of {view.kernel_size} pixels"
         remarks.append(f"no pixels in the file: using {pixels} (--pixel-pitch, --kernel-size)")
     return view, own, remarks
-
-
-def _with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, ...]:
-    """Sort wavelengths from the longest to the shortest, but with the primary one, the reference, in the middle."""
-    others = sorted((w for i, w in enumerate(wavelengths) if i != primary), reverse=True)
-    middle = len(wavelengths) // 2
-    return (*others[:middle], wavelengths[primary], *others[middle:])
 
 
 def _place_image_plane(
@@ -249,8 +242,8 @@ def _place_image_plane(
         raise InputError(f"focus {focus} (--focus): expected micrometres, such as -10, or file, mtf or spot") from None
     if criterion == "file":
         return move_image_plane(lens, 1e-3 * by_shift) if by_shift else lens, []
-    if focus is not None:
-        check_focal_length(lens, view.reference_um, f"--focus {focus} needs")
+    needs = "another object distance needs" if focus is None else f"--focus {focus} needs"
+    check_focal_length(lens, view.reference_um, needs)
     focused = refocus(lens, view, "spot" if criterion == "spot" else "mtf")
     remark = (
         f"image plane {1e3 * float(focused.thickness[-1] - lens.thickness[-1]):+.1f} um, to {_FOCUS_WORDS[criterion]}"

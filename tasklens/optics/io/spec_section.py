@@ -1,7 +1,8 @@
 """The section `spec` of our lens files: fields, wavelengths, pixels and object distance."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import torch
@@ -61,6 +62,13 @@ def spec_of(view: View) -> dict[str, Any]:
     }
 
 
+def with_reference(wavelengths: Sequence[float], primary: int) -> tuple[float, ...]:
+    """Sort wavelengths from the longest to the shortest, but with the primary one, the reference, in the middle."""
+    others = sorted((w for i, w in enumerate(wavelengths) if i != primary), reverse=True)
+    middle = len(wavelengths) // 2
+    return (*others[:middle], wavelengths[primary], *others[middle:])
+
+
 def _fields(value: Any) -> list[list[float]]:
     points = _list(value, "fields_mm")
     if not all(isinstance(point, list) and len(point) == 2 for point in points):
@@ -99,8 +107,10 @@ def check_copies(source: Prescription, spec: Mapping[str, Any], view: View, name
                 "give other values as options, such as --field-of-view or --f-number, or as keywords"
             )
     if source.wavelengths_um is not None:
-        primary = source.wavelengths_um[source.primary or 0]
-        if (sorted(source.wavelengths_um), primary) != (sorted(view.wavelengths_um), view.reference_um):
+        own = with_reference(source.wavelengths_um, source.primary or 0)
+        colours = view.wavelengths_um
+        same = (sorted(own), own[len(own) // 2]) == (sorted(colours), view.reference_um)
+        if not same and (len(own) <= 3 or replace(view, wavelengths_um=own).in_colours().wavelengths_um != colours):
             raise FileError(
                 f"{name}: wavelengths_um and primary contradict spec.wavelengths_um, whose middle one is the "
                 "reference; correct one of them"

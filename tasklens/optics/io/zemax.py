@@ -21,7 +21,7 @@ from tasklens.optics.io.stop import stop_radius
 from tasklens.optics.io.zemax_configurations import in_configuration
 from tasklens.optics.io.zemax_glasses import NamedGlasses
 from tasklens.optics.io.zemax_keywords import SURFACE, SYSTEM, check_surface, check_system, check_trailer
-from tasklens.optics.io.zemax_surfaces import Block, to_lens, to_lines
+from tasklens.optics.io.zemax_surfaces import Block, limits_rays, to_lens, to_lines
 from tasklens.optics.io.zemax_system import (
     ignored_data,
     read_aperture,
@@ -91,7 +91,8 @@ def read(path: Path, catalogues: Sequence[Path] = (), configuration: int | None 
         except ValueError as error:  # a wavelength at which a glass has no index
             raise FileError(f"{path}: {error}") from None
     clear = float(lens.semi_diameter[lens.stop])
-    follows_light = "FLAP" in inner[lens.stop].lines  # a floating aperture
+    of_stop = inner[lens.stop].lines
+    follows_light = "FLAP" in of_stop and not limits_rays(of_stop)  # a floating aperture
     if not follows_light and clear < radius * (1 - _ROUNDING):
         if clear < radius * (1 - _SMALLER):
             remarks.append(
