@@ -120,12 +120,9 @@ def _content(path: Path) -> dict[str, list[dict[str, Any]]]:
         if not isinstance(entries, list):
             raise FileError(f"{path}: has no list `{section}`; expected annotations in the format of COCO")
         for number, entry in enumerate(entries):
-            missing = [key for key in keys if not isinstance(entry, dict) or key not in entry]
-            if missing:
-                raise FileError(f"{path}: {section}[{number}] has no {', '.join(missing)}")
-            wrong = [f"{key} {entry[key]!r}" for key, kind in keys.items() if not isinstance(entry[key], kind)]
-            if wrong:
-                raise FileError(f"{path}: {section}[{number}] has the {', '.join(wrong)}, of another type than COCO's")
+            values = entry if isinstance(entry, dict) else {}
+            if wrong := [key for key, kind in keys.items() if not isinstance(values.get(key), kind)]:
+                raise FileError(f"{path}: {section}[{number}] has no {', '.join(wrong)} of the type in COCO")
     return content
 
 
