@@ -2,10 +2,10 @@
 
 The program reads the published accuracies of doublets in 16 cells of equal area, and draws edge.svg: gains over image
 correlation from the axis to the corner, means over sets. It prints the gains at the edge and within and, for the noise
-study, their correlation to contrast over the cells of each set. RESULTS are results folders of points of the noise
-study, from which it writes noise/contrast.csv anew:
+study, their correlation to those in I over the cells of each set. RESULTS are results folders of points of the noise
+study, from which it writes noise/signal_to_noise.csv anew:
 
-I = mean of log2(1 + S |H|^2 / N) over 1/8 <= |f| < 1/4 cycles per pixel  [bits per pixel]
+I = mean of log2(1 + S |H|^2 / N) over 1/8 <= |f| < 1/4 cycles per pixel
 
 S is the mean power spectrum of the luminance of minival images in linear light, H the transfer function of a PSF, and N
 the variance of the sensor's noise at their mean light. A cell has the mean of its four fields.
@@ -31,7 +31,7 @@ from tasklens.study import loading
 
 FOLDER = Path(__file__).parent
 ASPECT = loading.load(FOLDER.parents[1] / "config/headline.yaml").spec.aspect
-CONTRAST = FOLDER / "noise/contrast.csv"
+SIGNAL_TO_NOISE = FOLDER / "noise/signal_to_noise.csv"
 EDGE = 0.75  # of the corner's distance: 4 of the 16 cells are beyond it
 BAND = (1 / 8, 1 / 4)
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
@@ -49,8 +49,8 @@ CURVES = {  # lenses, labels and colours
 BASELINE = "image_correlation"
 
 
-def contrast(psf: Tensor, illumination: Tensor, images: Tensor, sensor: SensorSettings) -> Tensor:
-    """Compute I [bits per pixel] of PSFs (F, 3, K, K) for images (B, 3, H, W) in linear light, as (F,)."""
+def signal_to_noise(psf: Tensor, illumination: Tensor, images: Tensor, sensor: SensorSettings) -> Tensor:
+    """Compute I of PSFs (F, 3, K, K) for images (B, 3, H, W) in linear light, as (F,)."""
     size = images.shape[-1]
     grey = torch.einsum("bchw,c->bhw", images, LUMINANCE)
     window = torch.hann_window(size, dtype=torch.float64)
@@ -66,8 +66,8 @@ def contrast(psf: Tensor, illumination: Tensor, images: Tensor, sensor: SensorSe
     return torch.log2(1 + ratio[:, (frequency >= BAND[0]) & (frequency < BAND[1])]).mean(1)
 
 
-def contrasts(results: Path) -> pandas.DataFrame:
-    """Return the contrast of the lenses of one results folder, a row per lens and cell."""
+def lenses_of(results: Path) -> pandas.DataFrame:
+    """Return I of the lenses of one results folder, a row per lens and cell."""
     study = loading.load(results / "study.yaml")
     sensor = study.capture.sensor
     assert sensor is not None, f"{results}: a study without noise"
@@ -76,9 +76,9 @@ def contrasts(results: Path) -> pandas.DataFrame:
     parts = []
     for path in sorted(results.glob("lenses/doublet-*/seed*/psf.safetensors")):
         psf, illumination, turns = psf_files.read(path, "grading")
-        values = contrast(psf.double(), illumination.double(), light, sensor).unflatten(0, (turns, -1)).mean(0)
+        values = signal_to_noise(psf.double(), illumination.double(), light, sensor).unflatten(0, (turns, -1)).mean(0)
         design = path.parents[1].name.partition("-")[2]
-        parts.append(pandas.DataFrame({"design": design, "cell": range(len(values)), "contrast": values}))
+        parts.append(pandas.DataFrame({"design": design, "cell": range(len(values)), "i": values}))
     return pandas.concat(parts).assign(study=f"noise/gain={sensor.gain:g}", set=study.images.seed)
 
 
@@ -127,8 +127,8 @@ def draw(gain: pandas.DataFrame, path: Path) -> None:
 def main() -> None:
     """Write the figure, and print the summary."""
     if sys.argv[1:]:
-        new = pandas.concat([contrasts(Path(folder)) for folder in sys.argv[1:]])
-        new[["study", "set", "design", "cell", "contrast"]].to_csv(CONTRAST, index=False, float_format="%.5g")
+        new = pandas.concat([lenses_of(Path(folder)) for folder in sys.argv[1:]])
+        new[["study", "set", "design", "cell", "i"]].to_csv(SIGNAL_TO_NOISE, index=False, float_format="%.5g")
     levels = [f"noise/{path.name}" for path in FOLDER.glob("noise/gain=*")]
     gain = gains(pandas.concat([accuracies(study) for study in {*STUDIES, *levels}]))
     draw(gain, FOLDER / "edge.svg")
@@ -137,9 +137,9 @@ def main() -> None:
     summary = pandas.DataFrame(
         {name: gain[part].groupby(keys)["accuracy"].mean() for name, part in (("edge", edge), ("within", ~edge))}
     )
-    more = gains(pandas.read_csv(CONTRAST, dtype={"set": str}))
+    more = gains(pandas.read_csv(SIGNAL_TO_NOISE, dtype={"set": str}))
     both = gain.merge(more, on=[*keys, "cell"])
-    summary["correlation"] = both.groupby(keys)[["accuracy", "contrast"]].corr().iloc[::2, 1].droplevel(-1)
+    summary["correlation"] = both.groupby(keys)[["accuracy", "i"]].corr().iloc[::2, 1].droplevel(-1)
     print(summary.round(2).to_string(), summary.groupby(keys[:2]).mean().round(1).to_string(), sep="\n")
 
 
