@@ -121,6 +121,7 @@ def test_a_network_that_recognises_nothing_designs_nothing(photographs, capsys):
 
 SMALL, TASK = ("--size", "32", "--kernel-size", "11"), ("--method", "task", "--network", "test_resnet")
 MINE = (*TASK, "--weights", "words.pth")
+VIT = (*MINE, "--images", "photographs", *SMALL, "--network", "vit_tiny_patch16_224", "--argument", "img_size=32")
 MISTAKES = [
     (("--elements", "COC,GLASS"), "elements: unknown glass 'GLASS' in the built-in plastics"),
     (("--method", "magic"), "method 'magic': expected one of least_squares, spot, contrast, log_image_error, "),
@@ -132,19 +133,7 @@ MISTAKES = [
     ((*MINE, "--images", "absent"), "absent: no such folder of images"),
     ((*MINE, "--images", "photographs", "--set", "start=[correlation]"), "start: correlation is a lens of the verdict"),
     ((*MINE, "--images", "photographs", *SMALL), "words.pth: no weights for test_resnet with 3 outputs"),
-    (
-        (
-            *MINE,
-            "--network",
-            "vit_tiny_patch16_224",
-            "--argument",
-            "img_size=32",
-            "--set",
-            "descents.0.size=24",
-            *SMALL,
-        ),
-        "Input height (24) doesn't match model (32)",
-    ),
+    ((*VIT, "--set", "descents.0.size=24"), "Input height (24) doesn't match model (32)"),
     ((*MINE, "--network", "resnt"), "--network resnt: Unknown model (resnt); did you mean resnet"),
     (
         (*MINE, "--method", "joint", "--save-network", "a.safetensors", "--set", "start=[contrast,spot]"),

@@ -99,7 +99,7 @@ def test_predictions_are_kept(finished):
 
 def test_a_ranking_needs_no_nine_fields(finished):
     table = list(read_rows(finish("ranking_table", STUDY).csv))
-    assert len(table) == len(STUDY.designs) and "accuracy_at_nine" not in table[0]
+    assert len(table) == 4 and "accuracy_at_nine" not in table[0]
 
 
 def test_verify_fails_for_the_limits_that_short_designs_violate_and_for_nothing_else(finished, capsys):

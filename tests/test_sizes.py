@@ -10,7 +10,7 @@ ROOT = Path(__file__).parents[1]
 BUDGETS = {  # by unit and files; the aim of the next version in parentheses
     ("lines", "tasklens/**/*.py restoration/**/*.py"): 29_510,  # (25 000)
     ("lines", "workflow/**/*.smk workflow/**/*.py Snakefile"): 1_400,
-    ("lines", "tests/**/*.py"): 21_780,  # (19 500)
+    ("lines", "tests/**/*.py"): 21_770,  # (19 500)
     ("files", "tasklens/**/*.py restoration/**/*.py"): 245,  # (230)
     ("words", "README.md"): 800,
     ("words", "docs/*.md"): 13_200,
